@@ -1,0 +1,210 @@
+# gpuphys_add_task(NAME FAMILY): everything that belongs to one task, by file name.
+#
+#   cases/<family>/<task>.cpp               -> gpuphys_core
+#   cases/<family>/<shared>.cpp             -> gpuphys_core, once, for the sources a family's tasks share
+#   references/<family>/<task>.cu           -> modules/<task>/reference.so, and one module for each build variant
+#   serial_baselines/<family>/<task>.cpp    -> modules/<task>/baseline_f64.so, baseline_f32.so, baseline_f32_fma.so
+#   mutants/<task>/<fault>.patch            -> modules/<task>/mutant.<fault>.so and serial_mutant.<fault>.so
+#
+# Patches are applied to copies in the build tree, without fuzz; one that no longer applies breaks the build. The copies
+# come first on the include path, so a patch may also touch a header: all quoted includes are relative to the root.
+
+set(GPUPHYS_TASKS "" CACHE INTERNAL "")
+set(GPUPHYS_VARIANTS "" CACHE INTERNAL "")
+
+function(gpuphys_variant name)
+  set(GPUPHYS_VARIANTS ${GPUPHYS_VARIANTS} ${name} CACHE INTERNAL "")
+  set(GPUPHYS_VARIANT_FLAGS_${name} ${ARGN} CACHE INTERNAL "")
+endfunction()
+include(${PROJECT_SOURCE_DIR}/fmad_variants/variants.cmake)
+
+# A loadable module: modules/<task>/<label>.so.
+function(gpuphys_module task label source)
+  cmake_parse_arguments(arg "" "" "INCLUDE;FLAGS;DEFINES;LIBRARIES;DEPENDS" ${ARGN})
+  set(target module_${task}_${label})
+  add_library(${target} MODULE ${source})
+  target_include_directories(${target} PRIVATE ${arg_INCLUDE} ${PROJECT_SOURCE_DIR})
+  target_compile_options(${target} PRIVATE ${arg_FLAGS})
+  target_compile_definitions(${target} PRIVATE ${arg_DEFINES})
+  target_link_libraries(${target} PRIVATE gpuphys_warnings ${arg_LIBRARIES})
+  if(arg_DEPENDS)
+    add_dependencies(${target} ${arg_DEPENDS})
+  endif()
+  set_target_properties(${target} PROPERTIES PREFIX "" OUTPUT_NAME ${label} CXX_VISIBILITY_PRESET hidden
+                        LIBRARY_OUTPUT_DIRECTORY ${PROJECT_BINARY_DIR}/modules/${task})
+endfunction()
+
+# Patched copies of the files that a mutant touches, in mutants/<task>/<fault>/ of the build tree.
+function(gpuphys_patched_copy task fault patch result)
+  set(folder ${PROJECT_BINARY_DIR}/mutants/${task}/${fault})
+  file(STRINGS ${patch} touched REGEX "^\\+\\+\\+ b/")
+  list(TRANSFORM touched REPLACE "^\\+\\+\\+ b/([^\t ]+).*$" "\\1")
+  if(NOT touched)
+    message(FATAL_ERROR "${patch}: no file is patched ('+++ b/<path>' lines are missing)")
+  endif()
+  set(originals ${touched})
+  list(TRANSFORM originals PREPEND ${PROJECT_SOURCE_DIR}/)
+  set(copies ${touched})
+  list(TRANSFORM copies PREPEND ${folder}/)
+  add_custom_command(
+    OUTPUT ${copies}
+    COMMAND ${CMAKE_COMMAND} -DPATCH=${patch} -DFOLDER=${folder} -DROOT=${PROJECT_SOURCE_DIR} "-DFILES=${touched}"
+            -P ${PROJECT_SOURCE_DIR}/cmake/ApplyMutant.cmake
+    DEPENDS ${patch} ${originals} ${PROJECT_SOURCE_DIR}/cmake/ApplyMutant.cmake
+    COMMENT "Planting ${task}: ${fault}" VERBATIM)
+  add_custom_target(patched_${task}_${fault} ALL DEPENDS ${copies})
+  set_property(DIRECTORY APPEND PROPERTY CMAKE_CONFIGURE_DEPENDS ${patch})
+  set(${result} ${touched} PARENT_SCOPE)
+endfunction()
+
+function(gpuphys_serial_module task label source)
+  cmake_parse_arguments(arg "" "REAL" "INCLUDE;FLAGS;DEPENDS" ${ARGN})
+  gpuphys_module(${task} ${label} ${source} INCLUDE ${arg_INCLUDE} DEPENDS ${arg_DEPENDS}
+    FLAGS -O2 ${arg_FLAGS} DEFINES GPUPHYS_BASELINE_REAL=${arg_REAL}
+    LIBRARIES Eigen3::Eigen ${GPUPHYS_CHOLMOD})
+  target_include_directories(module_${task}_${label} SYSTEM PRIVATE ${GPUPHYS_CHOLMOD_INCLUDE})
+endfunction()
+
+function(gpuphys_add_task task family)
+  set(case ${PROJECT_SOURCE_DIR}/cases/${family}/${task}.cpp)
+  set(reference ${PROJECT_SOURCE_DIR}/references/${family}/${task}.cu)
+  set(baseline ${PROJECT_SOURCE_DIR}/serial_baselines/${family}/${task}.cpp)
+  foreach(part ${case} ${reference} ${baseline})
+    if(NOT EXISTS ${part})
+      message(FATAL_ERROR "task ${task}: ${part} is missing")
+    endif()
+  endforeach()
+  set(GPUPHYS_TASKS ${GPUPHYS_TASKS} ${task} CACHE INTERNAL "")
+  target_sources(gpuphys_core PRIVATE ${case})
+
+  # Sources that the tasks of a family share.
+  get_property(families GLOBAL PROPERTY GPUPHYS_FAMILIES)
+  if(NOT family IN_LIST families)
+    set_property(GLOBAL APPEND PROPERTY GPUPHYS_FAMILIES ${family})
+  endif()
+
+  # The FP64 truth, and FP32 builds with and without contraction: known-correct variants that need no GPU.
+  gpuphys_serial_module(${task} baseline_f64 ${baseline} REAL double FLAGS -ffp-contract=off)
+  gpuphys_serial_module(${task} baseline_f32 ${baseline} REAL float FLAGS -ffp-contract=off)
+  gpuphys_serial_module(${task} baseline_f32_fma ${baseline} REAL float FLAGS -ffp-contract=fast -mfma)
+
+  if(GPUPHYS_HAS_CUDA)
+    gpuphys_module(${task} reference ${reference})
+    foreach(variant ${GPUPHYS_VARIANTS})
+      gpuphys_module(${task} ${variant} ${reference} FLAGS ${GPUPHYS_VARIANT_FLAGS_${variant}})
+      gpuphys_ptx_test(${task} ${variant} ${reference})
+    endforeach()
+  endif()
+
+  file(GLOB patches CONFIGURE_DEPENDS ${PROJECT_SOURCE_DIR}/mutants/${task}/*.patch)
+  foreach(patch ${patches})
+    get_filename_component(fault ${patch} NAME_WE)
+    gpuphys_patched_copy(${task} ${fault} ${patch} touched)
+    set(copy ${PROJECT_BINARY_DIR}/mutants/${task}/${fault})
+    # A patch may touch the source itself or only a header of it.
+    set(mutated_baseline ${baseline})
+    if(serial_baselines/${family}/${task}.cpp IN_LIST touched)
+      set(mutated_baseline ${copy}/serial_baselines/${family}/${task}.cpp)
+    endif()
+    set(mutated_reference ${reference})
+    if(references/${family}/${task}.cu IN_LIST touched)
+      set(mutated_reference ${copy}/references/${family}/${task}.cu)
+    endif()
+    # A patch plants its fault where it has a hunk; that every patch has both is for the inventory test to say.
+    if(touched MATCHES "serial_baselines/")
+      gpuphys_serial_module(${task} serial_mutant.${fault} ${mutated_baseline} REAL float FLAGS -ffp-contract=off
+                            INCLUDE ${copy} DEPENDS patched_${task}_${fault})
+    endif()
+    if(touched MATCHES "references/" AND GPUPHYS_HAS_CUDA AND GPUPHYS_GPU_MUTANTS)
+      gpuphys_module(${task} mutant.${fault} ${mutated_reference} INCLUDE ${copy} DEPENDS patched_${task}_${fault})
+    endif()
+  endforeach()
+endfunction()
+
+# <task>.<variant>_differs: the variant's PTX must hold fewer fused multiply-adds than the reference's.
+function(gpuphys_ptx_test task variant source)
+  set(folder ${PROJECT_BINARY_DIR}/ptx/${task})
+  foreach(build reference ${variant})
+    set(flags "")
+    if(NOT build STREQUAL reference)
+      set(flags ${GPUPHYS_VARIANT_FLAGS_${build}})
+    endif()
+    add_custom_command(
+      OUTPUT ${folder}/${build}.ptx
+      COMMAND ${CMAKE_COMMAND} -E make_directory ${folder}
+      COMMAND ${CMAKE_CUDA_COMPILER} -ptx -std=c++20 -O3 -DNDEBUG -arch=sm_90 -I${PROJECT_SOURCE_DIR} ${flags} ${source}
+              -o ${folder}/${build}.ptx
+      DEPENDS ${source} module_${task}_${build} COMMENT "PTX of ${task} ${build}" VERBATIM)
+  endforeach()
+  add_custom_target(ptx_${task}_${variant} ALL DEPENDS ${folder}/reference.ptx ${folder}/${variant}.ptx)
+  add_test(NAME ${task}.${variant}_differs
+           COMMAND ${CMAKE_COMMAND} -DREFERENCE=${folder}/reference.ptx -DVARIANT=${folder}/${variant}.ptx
+                   -P ${PROJECT_SOURCE_DIR}/cmake/CheckPtxDiffers.cmake)
+  set_tests_properties(${task}.${variant}_differs PROPERTIES LABELS "${task};${variant};cpu" TIMEOUT 30)
+endfunction()
+
+# After the last task: shared sources of the families in use, the registry, and the tests.
+function(gpuphys_finish)
+  get_property(families GLOBAL PROPERTY GPUPHYS_FAMILIES)
+  foreach(family ${families})
+    file(GLOB shared CONFIGURE_DEPENDS ${PROJECT_SOURCE_DIR}/cases/${family}/*.cpp)
+    foreach(source ${shared})
+      get_filename_component(stem ${source} NAME_WE)
+      if(NOT stem IN_LIST GPUPHYS_TASKS)
+        target_sources(gpuphys_core PRIVATE ${source})
+      endif()
+    endforeach()
+  endforeach()
+
+  set(declarations "")
+  set(calls "")
+  foreach(task ${GPUPHYS_TASKS})
+    string(APPEND declarations "namespace ${task} {\nTask make_task();\n}\n")
+    string(APPEND calls "    all.push_back(${task}::make_task());\n")
+  endforeach()
+  file(CONFIGURE OUTPUT ${PROJECT_BINARY_DIR}/registry.cpp CONTENT
+"// Written by cmake/GpuphysTask.cmake.
+#include <algorithm>
+
+#include \"core/task.hpp\"
+
+namespace gpuphys {
+${declarations}
+const std::vector<Task>& all_tasks() {
+  static const std::vector<Task> tasks = [] {
+    std::vector<Task> all;
+${calls}    std::sort(all.begin(), all.end(), [](const Task& a, const Task& b) { return a.paper_number < b.paper_number; });
+    return all;
+  }();
+  return tasks;
+}
+
+}  // namespace gpuphys
+")
+  target_sources(gpuphys_core PRIVATE ${PROJECT_BINARY_DIR}/registry.cpp)
+
+  # The tests of the tasks are written by the driver once it is built. Until then CTest sees one test that fails and says
+  # so, rather than an empty suite that passes.
+  set(test_file ${PROJECT_BINARY_DIR}/task_tests.cmake)
+  set(arguments --output ${test_file} --driver $<TARGET_FILE:gpuphys>)
+  if(GPUPHYS_HAS_CUDA)
+    list(APPEND arguments --device-modules)
+    find_program(GPUPHYS_COMPUTE_SANITIZER compute-sanitizer HINTS ${CUDAToolkit_BIN_DIR})
+    if(GPUPHYS_COMPUTE_SANITIZER)
+      list(APPEND arguments --sanitizer ${GPUPHYS_COMPUTE_SANITIZER})
+    endif()
+  endif()
+  file(GLOB_RECURSE patches CONFIGURE_DEPENDS ${PROJECT_SOURCE_DIR}/mutants/*.patch)
+  add_custom_command(OUTPUT ${test_file} COMMAND gpuphys ctest-file ${arguments} DEPENDS gpuphys ${patches}
+                     COMMENT "Writing the tests of the tasks" VERBATIM)
+  add_custom_target(task_tests ALL DEPENDS ${test_file})
+  file(CONFIGURE OUTPUT ${PROJECT_BINARY_DIR}/include_task_tests.cmake CONTENT
+"if(EXISTS \"${test_file}\")
+  include(\"${test_file}\")
+else()
+  add_test(task_tests_NOT_BUILT \"${CMAKE_COMMAND}\" -E false)
+endif()
+")
+  set_property(DIRECTORY ${PROJECT_SOURCE_DIR} APPEND PROPERTY TEST_INCLUDE_FILES
+               ${PROJECT_BINARY_DIR}/include_task_tests.cmake)
+endfunction()

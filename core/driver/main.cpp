@@ -1,0 +1,103 @@
+// gpuphys: the command line of the suite.
+#include <fmt/format.h>
+
+#include <CLI/CLI.hpp>
+#include <cstdio>
+#include <cstdlib>
+#include <filesystem>
+#include <new>
+
+#include "core/driver/context.hpp"
+#include "core/version.hpp"
+
+namespace gpuphys {
+
+std::string Context::module_path(const std::string& task, const std::string& name) const {
+  if (name.find('/') != std::string::npos || name.ends_with(".so")) {
+    if (!std::filesystem::exists(name))
+      throw Error(ExitCode::unknown_name, fmt::format("module '{}' does not exist", name));
+    return name;
+  }
+  const std::filesystem::path folder = std::filesystem::path(modules_root) / task;
+  const std::filesystem::path path = folder / (name + ".so");
+  if (std::filesystem::exists(path)) return path.string();
+  std::string built;
+  if (std::filesystem::is_directory(folder)) {
+    for (const auto& entry : std::filesystem::directory_iterator(folder))
+      built += " " + entry.path().stem().string();
+  }
+  throw Error(ExitCode::unknown_name, fmt::format("no module '{}' of task '{}' in {}; built are:{}", name,
+                                                  task, folder.string(), built.empty() ? " none" : built));
+}
+
+namespace {
+
+int run(int argc, char** argv) {
+  CLI::App app{"Regression and tolerance validation for the GPUPhysBench tasks."};
+  app.set_version_flag("--version", kSuiteVersion);
+  app.require_subcommand(1);
+  app.footer("Exit codes:\n" + exit_code_table() +
+             "\nExamples:\n"
+             "  gpuphys list --task advect_rk2\n"
+             "  gpuphys run --task advect_rk2 --module reference\n"
+             "  gpuphys run --task advect_rk2 --module ./mine.so --set public --set hidden\n"
+             "  gpuphys time --task advect_rk2 --module ./mine.so\n"
+             "  gpuphys verdict\n");
+
+  Context ctx;
+  const auto from_environment = [](const char* name, const char* fallback) {
+    const char* value = std::getenv(name);
+    return std::string(value != nullptr ? value : fallback);
+  };
+  const std::string build = from_environment("GPUPHYS_BUILD_DIR", GPUPHYS_BINARY_DIR);
+  ctx.source_root = from_environment("GPUPHYS_SOURCE_DIR", GPUPHYS_SOURCE_DIR);
+  ctx.modules_root = build + "/modules";
+  ctx.results_root = build + "/results";
+  ctx.truth_root = build + "/truth";
+  app.add_option("--results", ctx.results_root, "Folder of results")->capture_default_str();
+  app.add_option("--modules", ctx.modules_root, "Folder of the modules built with the suite")
+      ->capture_default_str();
+  app.add_option("--truth", ctx.truth_root, "Folder in which FP64 truths are kept")->capture_default_str();
+  app.fallthrough();
+
+  add_list_command(app, ctx);
+  add_run_command(app, ctx);
+  add_check_command(app, ctx);
+  add_export_command(app, ctx);
+  add_tolerance_command(app, ctx);
+  add_mutants_command(app, ctx);
+  add_time_command(app, ctx);
+  add_verdict_command(app, ctx);
+  add_report_command(app, ctx);
+  add_record_command(app, ctx);
+  add_check_records_command(app, ctx);
+  add_trivial_command(app, ctx);
+  add_ctest_file_command(app, ctx);
+
+  try {
+    app.parse(argc, argv);
+  } catch (const CLI::ParseError& e) {
+    return app.exit(e) == 0 ? 0 : static_cast<int>(ExitCode::usage);
+  } catch (const Error& e) {
+    fmt::print(stderr, "gpuphys: {}\n", e.what());
+    if (e.code() == ExitCode::skipped && std::getenv("GPUPHYS_REQUIRE_GPU") != nullptr) {
+      fmt::print(stderr, "gpuphys: GPUPHYS_REQUIRE_GPU is set: a missing GPU is a failure\n");
+      return static_cast<int>(ExitCode::cuda_error);
+    }
+    return static_cast<int>(e.code());
+  } catch (const std::bad_alloc&) {
+    fmt::print(stderr, "gpuphys: out of host memory\n");
+    return static_cast<int>(ExitCode::out_of_memory);
+  } catch (const std::exception& e) {
+    fmt::print(stderr, "gpuphys: internal error: {}\n", e.what());
+    return static_cast<int>(ExitCode::internal);
+  }
+  return static_cast<int>(ctx.exit_code);
+}
+
+}  // namespace
+}  // namespace gpuphys
+
+int main(int argc, char** argv) {
+  return gpuphys::run(argc, argv);
+}

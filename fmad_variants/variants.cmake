@@ -1,0 +1,9 @@
+# Build variants of the references: known-correct builds that round differently. No source copies; a variant is the
+# reference compiled with other flags.
+#
+# gpuphys_variant(NAME FLAGS...) declares one. The paper validates its tolerances with the first.
+
+# No contraction of a*b + c into one rounding: changes nearly every arithmetic expression, as a correct submission may.
+# Explicit fmaf() and __fmaf_rn() survive the flag, so references leave contraction to the compiler, and
+# <task>.fmad_differs checks that the variant's PTX holds fewer fused operations than the reference's.
+gpuphys_variant(fmad -fmad=false)
