@@ -1,0 +1,386 @@
+#include "cases/grid_lattice/mac_advection_inputs.hpp"
+
+#include <fmt/format.h>
+
+#include <array>
+#include <cmath>
+#include <cstring>
+#include <limits>
+
+#include "cases/grid_lattice/mac_advection.hpp"
+#include "core/comparators.hpp"
+#include "core/generators/fourier_velocity.hpp"
+#include "core/random.hpp"
+
+namespace gpuphys::mac_advection {
+namespace {
+
+constexpr double kDx = 0x1p-8, kDt = 0x1p-7;
+constexpr int kMaxWaveNumber = 3;
+const std::array<std::string, 3> kNames{"ux", "uy", "uz"};
+
+Problem empty_problem(Grid grid) {
+  Problem p = make_problem(contract(), {{"nx", grid.nx}, {"ny", grid.ny}, {"nz", grid.nz}});
+  p.set_scalar("dx", kDx);
+  p.set_scalar("dt", kDt);
+  return p;
+}
+
+// `rms` in cells per step is rms * dt / dx.
+Problem fourier_problem(Grid grid, std::uint64_t seed, int modes, double rms, double period) {
+  Problem p = empty_problem(grid);
+  const FourierVelocity field = FourierVelocity::random(seed, modes, kMaxWaveNumber, rms, period);
+  for (int c = 0; c < 3; ++c) field.fill(c, kDx, p.inputs[static_cast<std::size_t>(c)]);
+  return p;
+}
+
+InputSet fourier_set(std::string name, SetKind kind, Size size, Grid grid, std::uint64_t seed, int modes,
+                     double period) {
+  InputSet set;
+  set.name = std::move(name);
+  set.kind = kind;
+  set.size = size;
+  set.about = fmt::format("{} random Fourier modes up to wave number {}, rms 1 m/s (2 cells a step), seed {}",
+                          modes, kMaxWaveNumber, seed);
+  set.make = [=] { return fourier_problem(grid, seed, modes, 1.0, period); };
+  return set;
+}
+
+// Largest violation of min(u_c) <= u'_c <= max(u_c), relative to max |u_c|: an interpolated value is a convex
+// combination.
+Check maximum_principle() {
+  const std::string why =
+      "every output is a convex combination of inputs; rounding of the three nested interpolations may "
+      "exceed the hull by a "
+      "few units in the last place (2^-24 each)";
+  return {
+      "maximum_principle",
+      CheckKind::invariant,
+      "ux, uy, uz",
+      "largest excursion beyond the input's range / max |u|",
+      8 * 0x1p-24,
+      why,
+      false,
+      [](const Judged& j) {
+        Measured worst;
+        for (const std::string& name : kNames) {
+          const HostArray& in = find(j.problem.inputs, name, "inputs");
+          const HostArray& out = find(j.outputs, name, "outputs");
+          double low = in.value(0), high = low;
+          for (std::int64_t i = 0; i < in.size(); ++i) {
+            low = std::min(low, in.value(i));
+            high = std::max(high, in.value(i));
+          }
+          const double scale = std::max({std::abs(low), std::abs(high), std::numeric_limits<double>::min()});
+          for (std::int64_t i = 0; i < out.size(); ++i) {
+            const double e = std::max(low - out.value(i), out.value(i) - high) / scale;
+            if (!(e <= worst.error)) {
+              worst = {e, fmt::format("{} = {:.9g}, input range [{:.9g}, {:.9g}]", index_text(out, i),
+                                      out.value(i), low, high)};
+              if (!std::isfinite(e)) return worst;
+            }
+          }
+        }
+        return worst;
+      }};
+}
+
+// For fields that advection must leave alone.
+Check unchanged() {
+  return {"unchanged",
+          CheckKind::invariant,
+          "ux, uy, uz",
+          "largest change / max |u|",
+          8 * 0x1p-24,
+          "a parallel shear flow is carried along itself: all eight samples around a point hold the same "
+          "number, and "
+          "weights that sum to 1 within the rounding of three nested interpolations give it back",
+          false,
+          [](const Judged& j) {
+            double scale = 0;
+            for (const HostArray& u : j.problem.inputs) {
+              for (std::int64_t i = 0; i < u.size(); ++i) scale = std::max(scale, std::abs(u.value(i)));
+            }
+            if (scale == 0) scale = 1;
+            Measured worst;
+            for (const std::string& name : kNames) {
+              const HostArray& in = find(j.problem.inputs, name, "inputs");
+              const HostArray& out = find(j.outputs, name, "outputs");
+              for (std::int64_t i = 0; i < in.size(); ++i) {
+                const double e = std::abs(out.value(i) - in.value(i)) / scale;
+                if (!(e <= worst.error)) {
+                  worst = {e, fmt::format("{}: got {:.9g}, expected {:.9g}", index_text(out, i), out.value(i),
+                                          in.value(i))};
+                  if (!std::isfinite(e)) return worst;
+                }
+              }
+            }
+            return worst;
+          }};
+}
+
+InputSet hard(std::string name, std::string about, std::function<Problem()> make,
+              std::vector<Check> invariants, bool use_task_checks) {
+  InputSet set;
+  set.name = "hard_" + name;
+  set.kind = SetKind::hard;
+  set.size = Size::smoke;
+  set.about = std::move(about);
+  set.make = std::move(make);
+  set.invariants = std::move(invariants);
+  set.use_task_checks = use_task_checks;
+  return set;
+}
+
+// Largest difference of neighbouring samples of any component: how much a point misplaced by one cell can
+// change a value.
+double largest_step(const Problem& p) {
+  double largest = 0;
+  for (const HostArray& u : p.inputs) {
+    const Shape& n = u.shape();
+    const std::array<std::int64_t, 3> stride{n[1] * n[2], n[2], 1};
+    for (std::int64_t i = 0; i < u.size(); ++i) {
+      const std::array<std::int64_t, 3> at{i / stride[0], i / stride[1] % n[1], i % n[2]};
+      for (std::size_t d = 0; d < 3; ++d) {
+        if (at[d] + 1 < n[d]) largest = std::max(largest, std::abs(u.value(i + stride[d]) - u.value(i)));
+      }
+    }
+  }
+  return largest;
+}
+
+// At high CFL numbers a float32 displacement itself is coarse; the bound follows from the data instead of
+// from the paper.
+Check displacement_limited(int velocity_evaluations) {
+  return {"displacement_limited", CheckKind::invariant, "ux, uy, uz",
+          "largest error / (unit roundoff x largest displacement in cells x largest step between "
+          "neighbouring samples)",
+          // Each evaluation rounds the displacement (1/2 ulp), its product with dt/dx and the fraction, along
+          // three axes; the error of an early stage moves the later ones, which the steep field can amplify
+          // by the step per cell travelled.
+          64.0 * velocity_evaluations,
+          "first-order propagation of the rounding of each displacement through a field this steep", true,
+          [](const Judged& j) {
+            double fastest = 0;
+            for (const HostArray& u : j.problem.inputs) {
+              for (std::int64_t i = 0; i < u.size(); ++i) fastest = std::max(fastest, std::abs(u.value(i)));
+            }
+            const double cells = fastest * j.problem.scalar("dt") / j.problem.scalar("dx");
+            const double unit = 0x1p-24 * cells * largest_step(j.problem);
+            Measured worst;
+            for (const std::string& name : kNames) {
+              const HostArray& out = find(j.outputs, name, "outputs");
+              const HostArray& truth = find(*j.truth, name, "truth");
+              for (std::int64_t i = 0; i < out.size(); ++i) {
+                const double e = std::abs(out.value(i) - truth.value(i)) / unit;
+                if (!(e <= worst.error)) {
+                  worst = {e, fmt::format("{}: got {:.9g}, expected {:.9g}", index_text(out, i), out.value(i),
+                                          truth.value(i))};
+                  if (!std::isfinite(e)) return worst;
+                }
+              }
+            }
+            return worst;
+          }};
+}
+
+std::vector<InputSet> hard_cases() {
+  std::vector<InputSet> sets;
+  sets.push_back(hard(
+      "zero_velocity", "a fluid at rest stays at rest",
+      [] {
+        return empty_problem({16, 12, 20});
+      },
+      {unchanged()}, true));
+  sets.push_back(hard(
+      "parallel_shear_cfl60", "u = (0, 0, w(x, y)) with random w up to 60 cells a step: a steady solution",
+      [] {
+        return problem_from({12, 16, 20}, [](int c, std::int64_t i, std::int64_t j, std::int64_t) {
+          return c == 2 ? 30.0 * uniform11(11, 0, static_cast<std::uint64_t>(i * 16 + j)) : 0.0;
+        });
+      },
+      {unchanged()}, true));
+  sets.push_back(hard(
+      "cfl60",
+      "the Fourier field at 60 cells rms a step: most points leave the box; bounded by the input's range",
+      [] {
+        return fourier_problem({40, 48, 32}, 7, 16, 30.0, 128 * kDx);
+      },
+      {maximum_principle(), displacement_limited(2)}, false));
+  sets.push_back(hard(
+      "outflow_walls",
+      "a flow leaving through all six walls at up to 12 cells a step: the clamp at every face and corner",
+      [] {
+        return problem_from({24, 20, 28}, [](int c, std::int64_t i, std::int64_t j, std::int64_t k) {
+          const std::array<double, 3> half{12, 10, 14};
+          const std::array<double, 3> at{static_cast<double>(i), static_cast<double>(j),
+                                         static_cast<double>(k)};
+          const auto d = static_cast<std::size_t>(c);
+          const auto e = (d + 1) % 3;
+          const double along = at[d] / half[d] - 1, across = at[e] / half[e] - 1;
+          return -6.0 * along * (1 - 0.25 * across * across);  // back-traced points leave the box
+        });
+      },
+      {maximum_principle()}, true));
+  sets.push_back(hard(
+      "huge_velocity", "random velocities of 1e10 m/s: back-traced points far beyond any integer cell index",
+      [] {
+        return problem_from({9, 8, 10}, [](int c, std::int64_t i, std::int64_t j, std::int64_t k) {
+          return 1e10 * uniform11(13, static_cast<std::uint64_t>(c),
+                                  static_cast<std::uint64_t>((i * 64 + j) * 64 + k));
+        });
+      },
+      {maximum_principle()}, false));
+  sets.push_back(hard(
+      "denormal", "velocities of 1e-40 m/s: below the normal range, must not be flushed to zero",
+      [] {
+        return problem_from({8, 10, 9}, [](int c, std::int64_t i, std::int64_t j, std::int64_t k) {
+          return 1e-40 * uniform11(17, static_cast<std::uint64_t>(c),
+                                   static_cast<std::uint64_t>((i * 64 + j) * 64 + k));
+        });
+      },
+      {{"denormal_units", CheckKind::invariant, "ux, uy, uz",
+        "largest error in units of the smallest denormal", 8,
+        "no displacement to speak of: only the rounding of three nested interpolations, one unit each, "
+        "remains",
+        true,
+        [](const Judged& j) {
+          Measured worst;
+          for (const std::string& name : kNames) {
+            const HostArray& out = find(j.outputs, name, "outputs");
+            const HostArray& truth = find(*j.truth, name, "truth");
+            for (std::int64_t i = 0; i < out.size(); ++i) {
+              const double e = std::abs(out.value(i) - truth.value(i)) / 0x1p-149;
+              if (!(e <= worst.error)) {
+                worst = {e, fmt::format("{}: got {:.9g}, expected {:.9g}", index_text(out, i), out.value(i),
+                                        truth.value(i))};
+                if (!std::isfinite(e)) return worst;
+              }
+            }
+          }
+          return worst;
+        }}},
+      false));
+  for (const Grid grid : {Grid{1, 1, 1}, Grid{2, 2, 2}, Grid{3, 5, 7}, Grid{65, 1, 33}}) {
+    sets.push_back(hard(
+        fmt::format("grid_{}x{}x{}", grid.nx, grid.ny, grid.nz),
+        "a grid smaller than any tile, with as few as one sample an axis",
+        [grid] { return fourier_problem(grid, 19, 16, 1.0, 128 * kDx); }, {maximum_principle()}, true));
+  }
+  return sets;
+}
+
+}  // namespace
+
+Contract contract() {
+  return describe<Inputs, Outputs<float>>();
+}
+
+Problem problem_from(Grid grid,
+                     const std::function<double(int, std::int64_t, std::int64_t, std::int64_t)>& value) {
+  Problem p = empty_problem(grid);
+  for (int c = 0; c < 3; ++c) {
+    HostArray& u = p.inputs[static_cast<std::size_t>(c)];
+    const Shape n = u.shape();
+    const auto out = u.as<float>();
+    for (std::int64_t i = 0; i < u.size(); ++i) {
+      out[static_cast<std::size_t>(i)] =
+          static_cast<float>(value(c, i / (n[1] * n[2]), i / n[2] % n[1], i % n[2]));
+    }
+  }
+  return p;
+}
+
+std::vector<InputSet> input_sets() {
+  // Smoke grids have three different extents, none a multiple of a tile, so that swapped axes and last
+  // partial blocks show. Their field is a part of a period of 128 cells: twice as rough per cell as the
+  // paper's.
+  std::vector<InputSet> sets;
+  sets.push_back(fourier_set("public", SetKind::open, Size::paper, {256, 256, 256}, 1, 16, 256 * kDx));
+  sets.push_back(fourier_set("hidden", SetKind::hidden, Size::paper, {256, 256, 256}, 2, 20, 256 * kDx));
+  sets.push_back(fourier_set("public_smoke", SetKind::open, Size::smoke, {44, 37, 50}, 1, 16, 128 * kDx));
+  sets.push_back(fourier_set("hidden_smoke", SetKind::hidden, Size::smoke, {37, 50, 44}, 2, 20, 128 * kDx));
+  for (InputSet& set : hard_cases()) sets.push_back(std::move(set));
+  return sets;
+}
+
+InputSet linear_field_set(std::int64_t n, std::vector<double> coefficients) {
+  using Matrix = std::array<std::array<double, 3>, 3>;
+  // Per second; dt A has norm of about 0.15, so that points well inside stay inside. Multiples of 2^-4: exact
+  // in float32.
+  static constexpr Matrix a{{{4.0, -9.5, 3.0}, {8.0, -6.0, 5.5}, {-2.5, 7.0, 2.0}}};
+  const auto position = [n](int c, std::array<std::int64_t, 3> at) {
+    std::array<double, 3> x;
+    for (std::size_t d = 0; d < 3; ++d) {
+      x[d] = (static_cast<double>(at[d]) + (static_cast<int>(d) == c ? 0.0 : 0.5) -
+              0.5 * static_cast<double>(n)) *
+             kDx;
+    }
+    return x;
+  };
+  const auto times = [](const std::array<double, 3>& x) {
+    std::array<double, 3> y{};
+    for (std::size_t r = 0; r < 3; ++r) {
+      for (std::size_t s = 0; s < 3; ++s) y[r] += a[r][s] * x[s];
+    }
+    return y;
+  };
+  InputSet set = hard(
+      "linear_field", "u = A x: trilinear interpolation is exact, so the interior must equal A P(-dt A) x",
+      [=] {
+        return problem_from({n, n, n}, [=](int c, std::int64_t i, std::int64_t j, std::int64_t k) {
+          return times(position(c, {i, j, k}))[static_cast<std::size_t>(c)];
+        });
+      },
+      {}, true);
+  set.invariants.push_back(
+      {"linear_identity", CheckKind::invariant, "ux, uy, uz (interior half of the box)",
+       "largest error / largest |u|", 2e-6,
+       "rounding of the input field to float32 (2^-24 relative) and of the trace, with the margin of a few "
+       "operations",
+       false, [=](const Judged& j) {
+         Measured worst;
+         double scale = 0;
+         for (const HostArray& u : j.problem.inputs) {
+           for (std::int64_t i = 0; i < u.size(); ++i) scale = std::max(scale, std::abs(u.value(i)));
+         }
+         for (int c = 0; c < 3; ++c) {
+           const HostArray& out = j.outputs[static_cast<std::size_t>(c)];
+           const Shape& s = out.shape();
+           for (std::int64_t i = 0; i < out.size(); ++i) {
+             const std::array<std::int64_t, 3> at{i / (s[1] * s[2]), i / s[2] % s[1], i % s[2]};
+             bool inside = true;
+             for (const std::int64_t index : at) inside = inside && index >= n / 4 && index < n - n / 4;
+             if (!inside) continue;
+             // A P(-dt A) x by Horner's rule.
+             std::array<double, 3> p{};
+             const std::array<double, 3> x = position(c, at);
+             for (std::size_t k = coefficients.size(); k-- > 0;) {
+               const std::array<double, 3> ap = times(p);
+               for (std::size_t d = 0; d < 3; ++d) p[d] = coefficients[k] * x[d] - kDt * ap[d];
+             }
+             const double expected = times(p)[static_cast<std::size_t>(c)];
+             const double e = std::abs(out.value(i) - expected) / scale;
+             if (!(e <= worst.error)) {
+               worst = {e, fmt::format("{}: got {:.9g}, expected {:.9g}", index_text(out, i), out.value(i),
+                                       expected)};
+               if (!std::isfinite(e)) return worst;
+             }
+           }
+         }
+         return worst;
+       }});
+  return set;
+}
+
+std::vector<Check> checks(double tolerance, double local_tolerance, const std::string& why,
+                          const std::string& local_why) {
+  std::vector<Check> all;
+  for (const std::string& name : kNames) {
+    all.push_back(relative_l2_check(name, tolerance, why));
+    all.push_back(local_error_check(name, local_tolerance, local_why));
+  }
+  return all;
+}
+
+}  // namespace gpuphys::mac_advection
