@@ -5,6 +5,7 @@
 
 #include <chrono>
 #include <cmath>
+#include <cstdio>
 #include <cstring>
 #include <filesystem>
 
@@ -60,6 +61,19 @@ void fill(HostArray& a, T pattern) {
   }
 }
 
+// Calls into a module; an exception that crosses its C interface counts as a returned error.
+template <class Call>
+int guarded_call(char* message, Call&& call) {
+  try {
+    return call();
+  } catch (const std::exception& e) {
+    std::snprintf(message, kMessageSize, "threw across the C interface: %s", e.what());
+  } catch (...) {
+    std::snprintf(message, kMessageSize, "threw across the C interface");
+  }
+  return 1;
+}
+
 class HostBackend final : public Backend {
  public:
   CallReport call(const LoadedModule& module, const Contract& contract, const Problem& problem) override {
@@ -71,7 +85,9 @@ class HostBackend final : public Backend {
     char message[kMessageSize] = "";
     void* state = nullptr;
     const gpuphys_problem shape_view = shapes.problem();
-    if (table.allocate(&state, &shape_view, message, sizeof message) != 0) {
+    const int allocated =
+        guarded_call(message, [&] { return table.allocate(&state, &shape_view, message, sizeof message); });
+    if (allocated != 0) {
       report.faults.push_back({Fault::returned_error, fmt::format("allocate(): {}", message)});
       if (state != nullptr) table.release(state);
       return report;
@@ -94,7 +110,8 @@ class HostBackend final : public Backend {
 
     const gpuphys_problem view = abi.problem();
     const auto start = std::chrono::steady_clock::now();
-    const int status = table.compute(state, &view, message, sizeof message);
+    const int status =
+        guarded_call(message, [&] { return table.compute(state, &view, message, sizeof message); });
     const auto stop = std::chrono::steady_clock::now();
     report.milliseconds = std::chrono::duration<double, std::milli>(stop - start).count();
     if (status != 0) report.faults.push_back({Fault::returned_error, fmt::format("compute(): {}", message)});
