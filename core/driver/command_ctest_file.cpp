@@ -57,7 +57,8 @@ class Writer {
         if (set.size == Size::smoke) judged(label, "cpu", set);
       }
     }
-    for (const std::string& fault : expected.serial_mutants) mutant("serial_mutant", fault, "cpu", Size::smoke);
+    for (const std::string& fault : expected.serial_mutants)
+      mutant("serial_mutant", fault, "cpu", Size::smoke);
     add("trivial", "", {"trivial", "--task", task_.name}, {"trivial", "cpu", "smoke"}, 120);
     add("record", "", {"check-records", "--task", task_.name}, {"record", "cpu"}, 60);
     if (!o_.device_modules) return std::move(cases_);

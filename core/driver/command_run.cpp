@@ -99,9 +99,23 @@ bool as_expected(const RunResult& r, const std::string& expect) {
   return r.state == (expect == "killed" ? RunState::killed : RunState::pass);
 }
 
+bool is_path(const std::string& module) {
+  return module.find('/') != std::string::npos || module.ends_with(".so");
+}
+
+// Modules of the suite that run on the device, and on the host, by their labels.
+bool is_device_label(const std::string& module) {
+  return !is_path(module) && (module == "reference" || module == "fmad" || module.starts_with("mutant."));
+}
+bool is_host_label(const std::string& module) {
+  return !is_path(module) && (module.starts_with("baseline_") || module.starts_with("serial_mutant."));
+}
+
 // Runs in a child process. Returns its exit code.
-int work(const Context& ctx, const RunOptions& o, const Task& task, const ModuleIdentity& id,
-         const std::string& path) {
+int work(const Context& ctx, const RunOptions& o, const Task& task, const ModuleIdentity& id) {
+  // Without a GPU the device modules are skipped, also those that this build left out.
+  if (is_device_label(o.module)) make_device_backend();
+  const std::string path = ctx.module_path(task.name, o.module);
   const LoadedModule module(path);
   if (task.name != module.table().task) {
     throw Error(ExitCode::module_fault, fmt::format("module '{}' computes task '{}', not '{}'", path,
@@ -171,11 +185,9 @@ std::optional<int> wait_for(pid_t worker, double timeout_s) {
 
 void run(Context& ctx, RunOptions& o) {
   const Task& task = find_task(o.task);
-  const std::string path = ctx.module_path(task.name, o.module);
-  const std::string mutants_root = ctx.source_root + "/mutants";
   std::string label = o.label;
-  if (label.empty()) label = path == o.module ? std::filesystem::path(path).stem().string() : o.module;
-  const ModuleIdentity id = identify(label, task.name, mutants_root);
+  if (label.empty()) label = is_path(o.module) ? std::filesystem::path(o.module).stem().string() : o.module;
+  const ModuleIdentity id = identify(label, task.name, ctx.source_root + "/mutants");
   if (o.sets.empty()) o.sets = {"public", "hidden"};
   for (const std::string& name : o.sets) task.set(name);
   const std::string started = utc_now();
@@ -188,7 +200,7 @@ void run(Context& ctx, RunOptions& o) {
   if (worker == 0) {
     int code = static_cast<int>(ExitCode::internal);
     try {
-      code = work(ctx, o, task, id, path);
+      code = work(ctx, o, task, id);
     } catch (const Error& e) {
       fmt::print(stderr, "gpuphys: {}\n", e.what());
       code = static_cast<int>(e.code());
@@ -216,8 +228,7 @@ void run(Context& ctx, RunOptions& o) {
   const ResultSet written = load_results(ctx.results_root, task.name);
   for (const Variation& v : variations(task, o)) {
     for (const std::string& name : o.sets) {
-      RunResult lost = blank_result(task, task.set(name), id,
-                                    label.find("serial") == std::string::npos && id.role != "baseline", v);
+      RunResult lost = blank_result(task, task.set(name), id, !is_host_label(o.module), v);
       const RunResult* there = written.find_run(task.name, lost.lane, lost.label, name);
       if (there != nullptr && there->started >= started) continue;
       lost.state = state;

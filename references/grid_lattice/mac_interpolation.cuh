@@ -109,6 +109,12 @@ __device__ __forceinline__ FloorFraction clamped_position(const Cell& cell, floa
   return {__float_as_uint(shifted), q - (shifted - magic)};
 }
 
+/// Between two neighbours along z. __ldg: the field is never written here, so that loads may move across
+/// stores.
+__device__ __forceinline__ float row(const float* p, float t) {
+  return lerp(__ldg(p), __ldg(p + 1), t);
+}
+
 /// Component E at the cell's lower face C displaced by d (in cells).
 template <int C, int E>
 __device__ __forceinline__ float sample(const Velocity& v, const Cell& cell, Displacement d) {
@@ -121,8 +127,8 @@ __device__ __forceinline__ float sample(const Velocity& v, const Cell& cell, Dis
   const float* p01 = p00 + nz;
   const float* p10 = p00 + v.plane[E];
   const float* p11 = p10 + nz;
-  const float a = lerp(lerp(p00[0], p00[1], z.fraction), lerp(p01[0], p01[1], z.fraction), y.fraction);
-  const float b = lerp(lerp(p10[0], p10[1], z.fraction), lerp(p11[0], p11[1], z.fraction), y.fraction);
+  const float a = lerp(row(p00, z.fraction), row(p01, z.fraction), y.fraction);
+  const float b = lerp(row(p10, z.fraction), row(p11, z.fraction), y.fraction);
   return lerp(a, b, x.fraction);
 }
 
@@ -137,14 +143,14 @@ __device__ __forceinline__ Displacement velocity(const Velocity& v, const Cell& 
 template <int C, int E>
 __device__ __forceinline__ float face_sum(const Velocity& v, const Cell& cell) {
   if constexpr (C == E) {
-    return cell.at[E][0];
+    return __ldg(cell.at[E]);
   } else {
     // Along axis C the samples of E lie half a cell on either side of the face; along axis E likewise, the
     // upper one always there because E has one more sample on that axis.
     const float* p = cell.at[E];
     const float* q = p - cell.down[E][C];
     const int up = E == 2 ? 1 : E == 1 ? v.extent(E, 2) : v.plane[E];
-    return (p[0] + p[up]) + (q[0] + q[up]);
+    return (__ldg(p) + __ldg(p + up)) + (__ldg(q) + __ldg(q + up));
   }
 }
 

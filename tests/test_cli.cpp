@@ -1,0 +1,139 @@
+// The driver as its users meet it: bad input gets one clear line and its own exit code, and nothing written
+// is lost.
+#include <gtest/gtest.h>
+#include <sys/wait.h>
+#include <unistd.h>
+
+#include <array>
+#include <cstdio>
+#include <cstdlib>
+#include <filesystem>
+#include <fstream>
+#include <memory>
+#include <string>
+
+#include "core/error.hpp"
+
+namespace gpuphys {
+namespace {
+
+namespace fs = std::filesystem;
+
+struct Outcome {
+  int code;
+  std::string text;  // stdout and stderr together
+};
+
+class Cli : public ::testing::Test {
+ protected:
+  void SetUp() override {
+    std::string pattern = (fs::temp_directory_path() / "gpuphys_cli_XXXXXX").string();
+    ASSERT_NE(mkdtemp(pattern.data()), nullptr);
+    folder_ = pattern;
+  }
+  void TearDown() override { fs::remove_all(folder_); }
+
+  Outcome call(const std::string& arguments) const {
+    const std::string command = "cd '" + folder_.string() +
+                                "' && GPUPHYS_REQUIRE_GPU= ; unset GPUPHYS_REQUIRE_GPU; '" GPUPHYS_DRIVER
+                                "' --results results --truth truth " +
+                                arguments + " 2>&1";
+    const std::unique_ptr<FILE, int (*)(FILE*)> pipe(
+        popen(command.c_str(), "r"), +[](FILE*) { return 0; });
+    Outcome o{-1, ""};
+    std::array<char, 4096> buffer;
+    while (const std::size_t n = std::fread(buffer.data(), 1, buffer.size(), pipe.get()))
+      o.text.append(buffer.data(), n);
+    const int status = pclose(pipe.get());
+    o.code = WIFEXITED(status) ? WEXITSTATUS(status) : -WTERMSIG(status);
+    return o;
+  }
+
+  // One line that contains every part, and the exit code.
+  void expect_error(const std::string& arguments, ExitCode code,
+                    const std::vector<std::string>& parts) const {
+    const Outcome o = call(arguments);
+    EXPECT_EQ(o.code, static_cast<int>(code)) << arguments << "\n" << o.text;
+    for (const std::string& part : parts)
+      EXPECT_NE(o.text.find(part), std::string::npos) << arguments << "\n" << o.text;
+    EXPECT_EQ(o.text.find("terminate called"), std::string::npos) << o.text;
+  }
+
+  fs::path folder_;
+};
+
+TEST_F(Cli, UnknownNamesSuggestWhatExists) {
+  expect_error("run --task advect_rk3x --module baseline_f32", ExitCode::unknown_name,
+               {"'advect_rk3x'", "advect_rk2"});
+  expect_error("run --task advect_rk2 --module baseline_f32 --set nosuch", ExitCode::unknown_name,
+               {"'nosuch'", "public_smoke"});
+  expect_error("run --task advect_rk2 --module baseline_f16 --set public_smoke", ExitCode::unknown_name,
+               {"'baseline_f16'", "baseline_f64"});
+  expect_error("run --task advect_rk2 --module ./missing.so --set public_smoke", ExitCode::unknown_name,
+               {"./missing.so"});
+  expect_error("run --task advect_rk2 --module baseline_f32 --set public_smoke --scalar nu=1",
+               ExitCode::unknown_name, {"'nu'"});
+}
+
+TEST_F(Cli, BadCommandLines) {
+  EXPECT_EQ(call("").code, static_cast<int>(ExitCode::usage));
+  EXPECT_EQ(call("frobnicate").code, static_cast<int>(ExitCode::usage));
+  EXPECT_EQ(call("run --task advect_rk2").code, static_cast<int>(ExitCode::usage));
+  expect_error("run --task advect_rk2 --module baseline_f32 --scalar dt", ExitCode::usage, {"NAME=NUMBER"});
+}
+
+TEST_F(Cli, HelpHasExamplesAndTheExitCodes) {
+  const Outcome o = call("--help");
+  EXPECT_EQ(o.code, 0);
+  EXPECT_NE(o.text.find("Exit codes"), std::string::npos);
+  for (const char* command :
+       {"list", "run", "check", "export", "tolerance", "mutants", "time", "report", "verdict", "record"}) {
+    const Outcome help = call(std::string(command) + " --help");
+    EXPECT_EQ(help.code, 0) << command;
+    EXPECT_NE(help.text.find("xample"), std::string::npos) << command << " --help has no example\n"
+                                                           << help.text;
+  }
+}
+
+TEST_F(Cli, AFileThatIsNoModuleIsRefused) {
+  std::ofstream(folder_ / "text.so") << "not a shared object";
+  expect_error("run --task advect_rk2 --module ./text.so --set public_smoke", ExitCode::module_fault,
+               {"text.so"});
+}
+
+TEST_F(Cli, AModuleOfAnotherTaskIsRefused) {
+  expect_error("run --task advect_rk2 --module " GPUPHYS_MODULES
+               "/poisson_neumann/baseline_f32.so --set public_smoke",
+               ExitCode::module_fault, {"poisson_neumann", "advect_rk2"});
+}
+
+TEST_F(Cli, ACorrectModulePassesAndItsResultIsKept) {
+  const Outcome o = call("run --task advect_rk2 --module baseline_f32 --set public_smoke");
+  EXPECT_EQ(o.code, 0) << o.text;
+  EXPECT_TRUE(fs::exists(folder_ / "results/advect_rk2/cpu/baseline_f32/public_smoke.json")) << o.text;
+}
+
+TEST_F(Cli, AMutantFailsAsAModuleAndSucceedsAsAMutant) {
+  const std::string run = "run --task advect_rk2 --module serial_mutant.forward_half_step --set public_smoke";
+  EXPECT_EQ(call(run).code, static_cast<int>(ExitCode::check_failed));
+  EXPECT_EQ(call(run + " --expect killed").code, 0);
+  // The honest baseline "as a mutant" survives, and that is a failure.
+  expect_error("run --task advect_rk2 --module baseline_f32 --set public_smoke --expect killed",
+               ExitCode::check_failed, {"SURVIVED"});
+}
+
+TEST_F(Cli, AStuckModuleIsStoppedAndNamed) {
+  expect_error("run --task poisson_neumann --module baseline_f64 --set public_smoke --timeout 0.01",
+               ExitCode::crashed, {"TIMEOUT"});
+}
+
+TEST_F(Cli, ExportThenCheckOfWrongFiles) {
+  ASSERT_EQ(call("export --task advect_rk2 --set public_smoke --output inputs.h5").code, 0);
+  expect_error("check --task advect_rk2 --set public_smoke --outputs missing.h5", ExitCode::bad_input, {"missing.h5"});
+  expect_error("check --task advect_rk2 --set public_smoke --outputs inputs.h5", ExitCode::bad_input, {"inputs.h5"});
+  std::ofstream(folder_ / "text.h5") << "not HDF5";
+  expect_error("check --task advect_rk2 --set public_smoke --outputs text.h5", ExitCode::bad_input, {"text.h5"});
+}
+
+}  // namespace
+}  // namespace gpuphys

@@ -1,0 +1,152 @@
+// The inventory: every part of every task exists, nothing is orphaned, nothing is too thin to mean anything.
+#include <gtest/gtest.h>
+
+#include <algorithm>
+#include <filesystem>
+#include <set>
+#include <string>
+
+#include "core/driver/inventory.hpp"
+#include "core/files.hpp"
+#include "core/judge.hpp"
+#include "core/task.hpp"
+
+namespace gpuphys {
+namespace {
+
+namespace fs = std::filesystem;
+
+const fs::path kRoot = GPUPHYS_SOURCE_ROOT;
+const std::string kMutants = (kRoot / "mutants").string();
+
+bool is_task(const std::string& name) {
+  const auto& tasks = all_tasks();
+  return std::any_of(tasks.begin(), tasks.end(), [&](const Task& t) { return t.name == name; });
+}
+
+TEST(Inventory, TasksHaveTheirNumbersInThePaper) {
+  std::set<int> numbers;
+  for (const Task& t : all_tasks()) {
+    EXPECT_GE(t.paper_number, 1) << t.name;
+    EXPECT_LE(t.paper_number, 50) << t.name;
+    EXPECT_TRUE(numbers.insert(t.paper_number).second)
+        << t.name << ": number " << t.paper_number << " is taken";
+  }
+  EXPECT_FALSE(numbers.empty());
+}
+
+TEST(Inventory, EveryPartOfEveryTaskExists) {
+  for (const Task& t : all_tasks()) {
+    for (const std::string& part :
+         {"cases/" + t.family + "/" + t.name + ".md", "cases/" + t.family + "/" + t.name + ".hpp",
+          "cases/" + t.family + "/" + t.name + ".cpp", "references/" + t.family + "/" + t.name + ".cu",
+          "serial_baselines/" + t.family + "/" + t.name + ".cpp", "tests/test_" + t.name + "_baseline.cpp"}) {
+      EXPECT_TRUE(fs::exists(kRoot / part)) << part << " is missing";
+    }
+  }
+}
+
+TEST(Inventory, NoFileBelongsToNoTask) {
+  const auto check = [](const fs::path& folder, const std::string& extension) {
+    for (const auto& entry : fs::recursive_directory_iterator(folder)) {
+      if (entry.path().extension() != extension) continue;
+      EXPECT_TRUE(is_task(entry.path().stem().string())) << entry.path() << " belongs to no task";
+    }
+  };
+  check(kRoot / "references", ".cu");
+  check(kRoot / "serial_baselines", ".cpp");
+  check(kRoot / "cases", ".md");
+  for (const auto& entry : fs::directory_iterator(kRoot / "mutants"))
+    EXPECT_TRUE(is_task(entry.path().filename().string())) << entry.path() << " belongs to no task";
+}
+
+TEST(Inventory, InputSetsAreComplete) {
+  for (const Task& t : all_tasks()) {
+    for (const char* name : {"public", "hidden", "public_smoke", "hidden_smoke"})
+      EXPECT_NO_THROW(t.set(name)) << t.name;
+    EXPECT_EQ(t.set("public").size, Size::paper) << t.name;
+    EXPECT_EQ(t.set("hidden").kind, SetKind::hidden) << t.name;
+    EXPECT_EQ(t.set("public_smoke").size, Size::smoke) << t.name;
+    std::set<std::string> names;
+    int hard = 0;
+    for (const InputSet& s : t.sets) {
+      EXPECT_TRUE(names.insert(s.name).second) << t.name << ": two sets '" << s.name << "'";
+      EXPECT_FALSE(s.about.empty()) << t.name << " " << s.name;
+      EXPECT_FALSE(checks_of(t, s).empty()) << t.name << " " << s.name << " cannot fail";
+      EXPECT_EQ(s.kind == SetKind::hard, s.name.starts_with("hard_")) << t.name << " " << s.name;
+      if (s.kind == SetKind::hard) {
+        ++hard;
+        EXPECT_FALSE(s.use_task_checks && s.invariants.empty() && s.about.empty());
+      }
+    }
+    EXPECT_GE(hard, 3) << t.name;
+  }
+}
+
+TEST(Inventory, ChecksSayWhatTheyAre) {
+  for (const Task& t : all_tasks()) {
+    EXPECT_GT(t.target_floor_multiple, 1) << t.name;
+    bool paper = false, local = false;
+    std::set<std::string> names;
+    for (const Check& c : t.checks) {
+      EXPECT_TRUE(names.insert(c.name).second) << t.name << ": two checks '" << c.name << "'";
+      paper = paper || c.kind == CheckKind::paper;
+      local = local || c.kind == CheckKind::local;
+    }
+    EXPECT_TRUE(paper) << t.name << " has no check of the paper";
+    EXPECT_TRUE(local) << t.name << " has no local check";
+    for (const InputSet& s : t.sets) {
+      for (const Check& c : checks_of(t, s)) {
+        for (const std::string& text : {c.name, c.quantity, c.norm, c.why})
+          EXPECT_FALSE(text.empty()) << t.name << " " << c.name;
+        EXPECT_GE(c.tolerance, 0) << t.name << " " << c.name;
+      }
+    }
+  }
+}
+
+TEST(Inventory, MutantsAreEnoughAndPlantedInBothLanes) {
+  for (const Task& t : all_tasks()) {
+    const Expectation expected = expectation_of(t, kMutants);
+    EXPECT_GE(expected.mutants.size(), 5u) << t.name;
+    EXPECT_EQ(expected.mutants, expected.serial_mutants)
+        << t.name << ": every patch needs a hunk for the reference and one for the serial baseline";
+    std::set<std::string> classes;
+    int sparse = 0;
+    for (const std::string& fault : planted_faults(kMutants, t.name)) {
+      const ModuleIdentity id = identify("mutant." + fault, t.name, kMutants);
+      classes.insert(id.mutant_class);
+      sparse += id.sparse;
+      EXPECT_TRUE((std::set<std::string>{"omitted term", "flipped sign", "boundary", "stage order",
+                                         "coefficient", "gpu"}
+                       .contains(id.mutant_class)))
+          << t.name << " " << fault << ": class '" << id.mutant_class << "'";
+      EXPECT_TRUE(std::any_of(t.checks.begin(), t.checks.end(),
+                              [&](const Check& c) { return c.name == id.expected_check; }))
+          << t.name << " " << fault << ": no check '" << id.expected_check << "'";
+    }
+    EXPECT_GE(classes.size(), 4u) << t.name;
+    EXPECT_GE(sparse, 1) << t.name << " has no sparse mutant";
+  }
+}
+
+TEST(Inventory, GeneratorsAreDeterministicAndFitTheContract) {
+  for (const Task& t : all_tasks()) {
+    for (const InputSet& s : t.sets) {
+      if (s.size == Size::paper) continue;
+      const Problem a = s.make(), b = s.make();
+      EXPECT_NO_THROW(resolve_symbols(t.contract, a, t.name + " " + s.name));
+      ASSERT_EQ(a.inputs.size(), b.inputs.size());
+      for (std::size_t i = 0; i < a.inputs.size(); ++i) {
+        ASSERT_EQ(a.inputs[i].bytes(), b.inputs[i].bytes());
+        EXPECT_TRUE(std::equal(static_cast<const char*>(a.inputs[i].data()),
+                               static_cast<const char*>(a.inputs[i].data()) + a.inputs[i].bytes(),
+                               static_cast<const char*>(b.inputs[i].data())))
+            << t.name << " " << s.name << " " << a.inputs[i].name();
+      }
+    }
+  }
+}
+
+}  // namespace
+}  // namespace gpuphys
