@@ -1,4 +1,5 @@
-// The serial baseline of advect_rk2, validated on its own: by hand, by closed forms, and by its order of accuracy.
+// The serial baseline of advect_rk2, validated on its own: by hand, by closed forms, and by its order of
+// accuracy.
 #include <gtest/gtest.h>
 
 #include <algorithm>
@@ -14,15 +15,17 @@ namespace {
 using mac_advection::problem_from;
 using testing::run_module;
 
-const Task& task() { return find_task("advect_rk2"); }
+const Task& task() {
+  return find_task("advect_rk2");
+}
 
 double at(const HostArray& u, std::int64_t i, std::int64_t j, std::int64_t k) {
   return u.value((i * u.shape()[1] + j) * u.shape()[2] + k);
 }
 
 TEST(AdvectRk2Baseline, TinyGridByHand) {
-  // ux falls linearly along x and is the only component: u(x) = (4 - x/dx) m/s with s = dt/dx cells per m/s. From the face at
-  // x = i the midpoint is i - s/2 u_i, and so on; with s = 1/4 every number below is exact.
+  // ux falls linearly along x and is the only component: u(x) = (4 - x/dx) m/s with s = dt/dx cells per m/s.
+  // From the face at x = i the midpoint is i - s/2 u_i, and so on; with s = 1/4 every number below is exact.
   Problem p = problem_from({4, 1, 1}, [](int c, std::int64_t i, std::int64_t, std::int64_t) {
     return c == 0 ? 4.0 - static_cast<double>(i) : 0.0;
   });
@@ -40,17 +43,21 @@ TEST(AdvectRk2Baseline, TinyGridByHand) {
 }
 
 TEST(AdvectRk2Baseline, UniformFlowIsUnchanged) {
-  const Problem p = problem_from({5, 6, 7}, [](int c, std::int64_t, std::int64_t, std::int64_t) { return 1.25 * (c + 1); });
+  const Problem p =
+      problem_from({5, 6, 7}, [](int c, std::int64_t, std::int64_t, std::int64_t) { return 1.25 * (c + 1); });
   const Arrays out = run_module(task(), "baseline_f64", p);
   for (std::size_t c = 0; c < 3; ++c) {
-    for (std::int64_t i = 0; i < out[c].size(); ++i) EXPECT_NEAR(out[c].value(i), p.inputs[c].value(i), 1e-14);
+    for (std::int64_t i = 0; i < out[c].size(); ++i)
+      EXPECT_NEAR(out[c].value(i), p.inputs[c].value(i), 1e-14);
   }
 }
 
 TEST(AdvectRk2Baseline, AnInterchangeOfAxesInterchangesTheResult) {
-  // The field of the transposed problem is u'_x(x,y,z) = u_y(y,x,z) and so on: any mix-up of axes breaks the identity.
+  // The field of the transposed problem is u'_x(x,y,z) = u_y(y,x,z) and so on: any mix-up of axes breaks the
+  // identity.
   const auto wave = [](int c, double x, double y, double z) {
-    const double s = std::sin(0.31 * x + 0.2 * c) * std::cos(0.17 * y - 0.4 * c) + 0.3 * std::sin(0.23 * z + c);
+    const double s =
+        std::sin(0.31 * x + 0.2 * c) * std::cos(0.17 * y - 0.4 * c) + 0.3 * std::sin(0.23 * z + c);
     return 1.5 * s;
   };
   const auto sample = [&](int c, std::int64_t i, std::int64_t j, std::int64_t k) {
@@ -59,9 +66,9 @@ TEST(AdvectRk2Baseline, AnInterchangeOfAxesInterchangesTheResult) {
   };
   const auto swapped = [](int c) { return c == 2 ? 2 : 1 - c; };
   const Arrays a = run_module(task(), "baseline_f64", problem_from({8, 6, 7}, sample));
-  const Arrays b = run_module(task(), "baseline_f64", problem_from({6, 8, 7}, [&](int c, auto i, auto j, auto k) {
-                                return sample(swapped(c), j, i, k);
-                              }));
+  const Arrays b = run_module(
+      task(), "baseline_f64",
+      problem_from({6, 8, 7}, [&](int c, auto i, auto j, auto k) { return sample(swapped(c), j, i, k); }));
   for (int c = 0; c < 3; ++c) {
     const HostArray& u = a[static_cast<std::size_t>(c)];
     const HostArray& w = b[static_cast<std::size_t>(swapped(c))];
@@ -73,8 +80,8 @@ TEST(AdvectRk2Baseline, AnInterchangeOfAxesInterchangesTheResult) {
   }
 }
 
-// Error of the trace at the centre of a rigid rotation about z, where trilinear interpolation is exact and the exact
-// departure point is known: u = w x r, so u'(x) = w x (R(-w dt) x).
+// Error of the trace at the centre of a rigid rotation about z, where trilinear interpolation is exact and
+// the exact departure point is known: u = w x r, so u'(x) = w x (R(-w dt) x).
 double rotation_error(double angle) {
   constexpr std::int64_t n = 24;
   const double dx = 0x1p-8, dt = 0x1p-7, w = angle / dt;

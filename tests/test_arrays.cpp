@@ -8,7 +8,9 @@ namespace {
 
 Contract contract() {
   Contract c;
-  c.inputs = {{"u", DType::f32, 2, "nx+1,ny", "m/s"}, {"mask", DType::boolean, 2, "nx,ny", "1"}, {"table", DType::i32, 1, "3", "1"}};
+  c.inputs = {{"u", DType::f32, 2, "nx+1,ny", "m/s"},
+              {"mask", DType::boolean, 2, "nx,ny", "1"},
+              {"table", DType::i32, 1, "3", "1"}};
   c.outputs = {{"v", DType::f32, 2, "nx,ny+2", "m/s"}};
   c.scalars = {{"dt", DType::f32, "s"}};
   return c;
@@ -50,14 +52,17 @@ TEST(Arrays, OutputsTakeTheirShapeFromTheInputs) {
 }
 
 TEST(Arrays, AContradictionNamesBothArrays) {
-  const std::string message =
-      message_of(ExitCode::bad_input, [] { resolve_symbols(contract(), problem({5, 7}, {5, 7}, {3}), "f.h5"); });
-  for (const char* part : {"f.h5", "'mask'", "(5, 7)", "nx = 4", "'u'"}) EXPECT_NE(message.find(part), std::string::npos) << message;
+  const std::string message = message_of(ExitCode::bad_input, [] {
+    resolve_symbols(contract(), problem({5, 7}, {5, 7}, {3}), "f.h5");
+  });
+  for (const char* part : {"f.h5", "'mask'", "(5, 7)", "nx = 4", "'u'"})
+    EXPECT_NE(message.find(part), std::string::npos) << message;
 }
 
 TEST(Arrays, AFixedExtentIsChecked) {
-  const std::string message =
-      message_of(ExitCode::bad_input, [] { resolve_symbols(contract(), problem({5, 7}, {4, 7}, {4}), "f.h5"); });
+  const std::string message = message_of(ExitCode::bad_input, [] {
+    resolve_symbols(contract(), problem({5, 7}, {4, 7}, {4}), "f.h5");
+  });
   EXPECT_NE(message.find("expected 3"), std::string::npos) << message;
 }
 
@@ -65,11 +70,13 @@ TEST(Arrays, WrongRankTypeAndMissingArraysAreNamed) {
   message_of(ExitCode::bad_input, [] { resolve_symbols(contract(), problem({5}, {4, 7}, {3}), "f.h5"); });
   Problem wrong_type = problem({5, 7}, {4, 7}, {3});
   wrong_type.inputs[0] = HostArray("u", DType::f64, {5, 7});
-  EXPECT_NE(message_of(ExitCode::bad_input, [&] { resolve_symbols(contract(), wrong_type, "f.h5"); }).find("float64"),
+  EXPECT_NE(message_of(ExitCode::bad_input, [&] { resolve_symbols(contract(), wrong_type, "f.h5"); })
+                .find("float64"),
             std::string::npos);
   Problem missing = problem({5, 7}, {4, 7}, {3});
   missing.inputs.pop_back();
-  EXPECT_NE(message_of(ExitCode::bad_input, [&] { resolve_symbols(contract(), missing, "f.h5"); }).find("'table' is missing"),
+  EXPECT_NE(message_of(ExitCode::bad_input, [&] { resolve_symbols(contract(), missing, "f.h5"); })
+                .find("'table' is missing"),
             std::string::npos);
 }
 

@@ -15,7 +15,8 @@ constexpr double kTolerance = 1e-3;
 
 HostArray truth() {
   HostArray t("u", DType::f64, {20, 1000});
-  for (std::int64_t i = 0; i < kN; ++i) t.as<double>()[static_cast<std::size_t>(i)] = uniform11(5, 0, static_cast<std::uint64_t>(i));
+  for (std::int64_t i = 0; i < kN; ++i)
+    t.as<double>()[static_cast<std::size_t>(i)] = uniform11(5, 0, static_cast<std::uint64_t>(i));
   return t;
 }
 
@@ -25,7 +26,8 @@ HostArray perturbed(const HostArray& t, double relative) {
   for (std::int64_t i = 0; i < kN; ++i) {
     // Alternating signs around values rounded first: the L2 error is `relative` up to float32 rounding.
     const double r = static_cast<double>(static_cast<float>(t.value(i)));
-    g.as<float>()[static_cast<std::size_t>(i)] = static_cast<float>(r * (1 + (i % 2 == 0 ? relative : -relative)));
+    g.as<float>()[static_cast<std::size_t>(i)] =
+        static_cast<float>(r * (1 + (i % 2 == 0 ? relative : -relative)));
   }
   return g;
 }
@@ -117,7 +119,8 @@ TEST(Comparators, TruthIsRoundedOnceBeforeItIsCompared) {
 }
 
 TEST(Comparators, ShapesMustAgreeAndEmptyArraysAreErrors) {
-  const HostArray t("u", DType::f64, {4, 5}), g("u", DType::f32, {5, 4}), none("u", DType::f32, {0}), no_truth("u", DType::f64, {0});
+  const HostArray t("u", DType::f64, {4, 5}), g("u", DType::f32, {5, 4}), none("u", DType::f32, {0}),
+      no_truth("u", DType::f64, {0});
   EXPECT_THROW(relative_l2(g, t), Error);
   EXPECT_THROW(max_error_over_rms(g, t), Error);
   EXPECT_THROW(count_above(g, t, 1), Error);

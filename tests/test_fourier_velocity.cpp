@@ -55,7 +55,8 @@ TEST(FourierVelocity, RmsDoesNotDependOnTheNumberOfModes) {
 }
 
 TEST(FourierVelocity, SeedsGiveDifferentFields) {
-  EXPECT_NE(FourierVelocity::random(1, 16, 3, 1, 1).at(0, 0.1, 0.2, 0.3), FourierVelocity::random(2, 16, 3, 1, 1).at(0, 0.1, 0.2, 0.3));
+  EXPECT_NE(FourierVelocity::random(1, 16, 3, 1, 1).at(0, 0.1, 0.2, 0.3),
+            FourierVelocity::random(2, 16, 3, 1, 1).at(0, 0.1, 0.2, 0.3));
 }
 
 }  // namespace

@@ -1,0 +1,261 @@
+// The driver's commands as users call them: export, check, record, check-records, verdict, report.
+#include <gtest/gtest.h>
+#include <sys/wait.h>
+
+#include <array>
+#include <cstdio>
+#include <cstdlib>
+#include <filesystem>
+#include <memory>
+
+#include "core/files.hpp"
+#include "core/hdf5_io.hpp"
+#include "core/results.hpp"
+#include "core/source_digest.hpp"
+#include "core/task.hpp"
+
+namespace gpuphys {
+namespace {
+
+namespace fs = std::filesystem;
+
+struct Outcome {
+  int code = -1;
+  std::string output;  // stdout and stderr
+};
+
+// Every command works on a copy of the sources and on results of its own.
+class Commands : public testing::Test {
+ protected:
+  Commands() {
+    std::string pattern = (fs::temp_directory_path() / "gpuphys_commands_XXXXXX").string();
+    folder = ::mkdtemp(pattern.data());
+    source = folder + "/source";
+    for (const char* part : {"core", "cases", "references", "serial_baselines", "mutants", "fmad_variants"}) {
+      fs::create_directories(source);
+      fs::copy(std::string(GPUPHYS_SOURCE_ROOT) + "/" + part, source + "/" + part,
+               fs::copy_options::recursive);
+    }
+  }
+  ~Commands() override { fs::remove_all(folder); }
+
+  Outcome gpuphys(const std::string& arguments) const {
+    const std::string command = "GPUPHYS_SOURCE_DIR='" + source + "' '" GPUPHYS_DRIVER "' --results '" +
+                                folder + "/results' --truth '" + folder +
+                                "/truth' --modules '" GPUPHYS_MODULES "' " + arguments + " 2>&1";
+    FILE* pipe = ::popen(command.c_str(), "r");
+    Outcome outcome;
+    std::array<char, 4096> buffer;
+    while (const std::size_t n = std::fread(buffer.data(), 1, buffer.size(), pipe))
+      outcome.output.append(buffer.data(), n);
+    const int status = ::pclose(pipe);
+    outcome.code = WIFEXITED(status) ? WEXITSTATUS(status) : -1;
+    return outcome;
+  }
+
+  // Results of a GPU run in which everything went well, made up.
+  void put_gpu_results() const {
+    const Task& task = find_task("advect_rk2");
+    const auto run = [&](const std::string& label, const std::string& role, const InputSet& set) {
+      RunResult r;
+      r.task = task.name;
+      r.lane = "gpu";
+      r.label = label;
+      r.role = role;
+      r.set = set.name;
+      r.set_kind = to_string(set.kind);
+      r.size = to_string(set.size);
+      r.device = "NVIDIA Test";
+      r.state = role == "mutant" ? RunState::killed : RunState::pass;
+      for (const Check& c : checks_of(task, set)) {
+        const double error = c.tolerance * (role == "mutant" ? 100 : 0.1);
+        r.checks.push_back({c.name, to_string(c.kind), c.quantity, c.norm, error, c.tolerance,
+                            ratio_of(error, c.tolerance), role != "mutant", ""});
+      }
+      r.truth_gap = {{"ux", 7e-8}};
+      r.milliseconds = 0.4;
+      write_result(folder + "/results", r);
+    };
+    for (const InputSet& set : task.sets) {
+      const bool hard = set.kind == SetKind::hard, smoke = set.size == Size::smoke;
+      if (smoke && !hard) continue;
+      run("reference", "reference", set);
+      run("fmad", "fmad", set);
+      if (hard) continue;
+      for (const auto& entry : fs::directory_iterator(source + "/mutants/" + task.name)) {
+        run("mutant." + entry.path().stem().string(), "mutant", set);
+      }
+      TimingResult t;
+      t.task = task.name;
+      t.label = "reference";
+      t.set = set.name;
+      t.times_ms = {0.3, 0.3, 0.3, 0.3, 0.3};
+      t.min_ms = t.median_ms = 0.3;
+      t.floor_ms = 0.1;
+      t.multiple = 3;
+      t.device = "NVIDIA Test";
+      t.gate.state = "UNBASELINED";
+      write_result(folder + "/results", t);
+    }
+  }
+  std::string record_file() const { return source + "/ci/records/nvidia-test/advect_rk2.json"; }
+
+  std::string folder, source;
+};
+
+#define EXPECT_OUTCOME(outcome, expected_code, part)                     \
+  do {                                                                   \
+    const Outcome seen = (outcome);                                      \
+    EXPECT_EQ(seen.code, expected_code) << seen.output;                  \
+    EXPECT_NE(seen.output.find(part), std::string::npos) << seen.output; \
+  } while (false)
+
+TEST_F(Commands, AnExportedSetCanBeSolvedElsewhereAndChecked) {
+  const std::string inputs = folder + "/in.h5", truth = folder + "/truth.h5", outputs = folder + "/out.h5";
+  ASSERT_EQ(
+      gpuphys("export --task advect_rk2 --set public_smoke --output " + inputs + " --expected " + truth).code,
+      0);
+  const Task& task = find_task("advect_rk2");
+  const Problem problem = read_problem(inputs, task);
+  const Arrays exact = read_arrays(truth, task, problem, DType::f64);
+  Arrays rounded = make_outputs(task.contract, problem);
+  for (std::size_t a = 0; a < rounded.size(); ++a) {
+    for (std::int64_t i = 0; i < rounded[a].size(); ++i) {
+      rounded[a].as<float>()[static_cast<std::size_t>(i)] = static_cast<float>(exact[a].value(i));
+    }
+  }
+  const std::string by_set = "check --task advect_rk2 --set public_smoke --outputs " + outputs;
+  const std::string by_file = "check --task advect_rk2 --inputs " + inputs + " --outputs " + outputs;
+  write_arrays(outputs, FileKind::outputs, task, "", rounded);
+  EXPECT_OUTCOME(gpuphys(by_set), 0, "PASS");
+  EXPECT_OUTCOME(gpuphys(by_file + " --label mine"), 0, "PASS");
+  EXPECT_TRUE(fs::exists(folder + "/results/advect_rk2/cpu/mine/custom.json"));
+  EXPECT_OUTCOME(gpuphys(by_set + " --label reference"), 2, "belongs to a module of the suite");
+
+  rounded[1].as<float>()[17] += 1;
+  write_arrays(outputs, FileKind::outputs, task, "", rounded);
+  EXPECT_OUTCOME(gpuphys(by_set), 3, "FAIL");
+  EXPECT_OUTCOME(gpuphys(by_file), 3, "uy_local");
+
+  write_arrays(outputs, FileKind::outputs, task, "hidden_smoke", rounded);
+  EXPECT_OUTCOME(gpuphys(by_set), 5, "belongs to input set 'hidden_smoke'");
+  const std::string whole = read_file(outputs);
+  write_file(outputs, whole.substr(0, whole.size() / 2));
+  EXPECT_OUTCOME(gpuphys(by_set), 5, "truncated or corrupt");
+  EXPECT_OUTCOME(gpuphys("check --task advect_rk2 --set public_smoke --outputs " + truth), 5,
+                 "it is float64, expected float32");
+  EXPECT_OUTCOME(gpuphys("check --task advect_rk2 --outputs " + outputs), 2, "either --set or --inputs");
+}
+
+TEST_F(Commands, UnknownNamesAreRefusedWithWhatExists) {
+  EXPECT_OUTCOME(gpuphys("export --task advect_rk9 --set public --output x.h5"), 6, "nearest: advect_rk2");
+  EXPECT_OUTCOME(gpuphys("export --task advect_rk2 --set nothing --output x.h5"), 6, "public_smoke");
+  EXPECT_OUTCOME(gpuphys("verdict --gpu none"), 6, "no records of GPU 'none'");
+  EXPECT_OUTCOME(gpuphys("tolerance --value 1"), 2, "--check and --value belong together");
+}
+
+TEST_F(Commands, WithoutResultsTheVerdictNamesWhatIsMissing) {
+  EXPECT_OUTCOME(gpuphys("verdict --task advect_rk2"), 3,
+                 "MISSING advect_rk2 gpu reference: public, hidden, hard_");
+  EXPECT_OUTCOME(gpuphys("mutants --task advect_rk2"), 3, "no mutant has been run");
+  EXPECT_OUTCOME(gpuphys("check-records"), 13, "no GPU records");
+  EXPECT_OUTCOME(gpuphys("record"), 5, "no GPU results");
+}
+
+TEST_F(Commands, ARecordHoldsUntilATokenOfItsSourcesChanges) {
+  put_gpu_results();
+  EXPECT_OUTCOME(gpuphys("record"), 0, "runs and 2 timings recorded");
+  EXPECT_OUTCOME(gpuphys("check-records --task advect_rk2"), 0, "complete and matches its sources");
+  fs::remove_all(folder + "/results");
+  EXPECT_OUTCOME(gpuphys("verdict --lane gpu --task advect_rk2"), 0, "1 tasks: 1 OK");
+
+  const std::string reference = source + "/references/grid_lattice/advect_rk2.cu",
+                    text = read_file(reference);
+  write_file(reference, "// a remark\n\n" + text);
+  EXPECT_OUTCOME(gpuphys("check-records --task advect_rk2"), 0, "complete");
+  write_file(reference, text + "\nint changed;\n");
+  EXPECT_OUTCOME(gpuphys("check-records --task advect_rk2"), 13,
+                 "changed: references/grid_lattice/advect_rk2.cu");
+  EXPECT_OUTCOME(gpuphys("verdict --lane gpu --task advect_rk2"), 3, "STALE");
+  write_file(reference, text);
+
+  // A fault planted after the run.
+  const std::string patch = source + "/mutants/advect_rk2/new_fault.patch";
+  write_file(patch, "what: x\nclass: x\ncheck: x\n--- a/references/x\n+++ b/references/x\n");
+  EXPECT_OUTCOME(gpuphys("check-records --task advect_rk2"), 13,
+                 "MISSING advect_rk2 gpu mutant.new_fault: public, hidden");
+  fs::remove(patch);
+  EXPECT_EQ(gpuphys("check-records --task advect_rk2").code, 0);
+}
+
+TEST_F(Commands, ARecordEditedByHandIsRefused) {
+  put_gpu_results();
+  ASSERT_EQ(gpuphys("record").code, 0);
+  const std::string whole = read_file(record_file());
+  const auto refused = [&](auto&& edit, const std::string& part) {
+    nlohmann::json j = nlohmann::json::parse(whole);
+    edit(j);
+    write_file(record_file(), j.dump());
+    EXPECT_OUTCOME(gpuphys("check-records --task advect_rk2"), 13, part);
+  };
+  refused([](auto& j) { j["results"].erase(0); }, "MISSING");
+  refused([](auto& j) { j["results"][0]["state"] = "CRASHED"; }, "CRASHED");
+  refused([](auto& j) { j["results"][0]["checks"][0]["error"] = 1; },
+          "PASS although a check exceeds its tolerance");
+  refused([](auto& j) { j["results"][0]["checks"][0]["tolerance"] = 1e-3; },
+          "was judged with tolerance 0.001");
+  refused([](auto& j) { j["timing"].clear(); }, "no timing");
+  refused([](auto& j) { j["digest"]["total"] = "0"; }, "changed: total");
+  write_file(record_file(), whole.substr(0, whole.size() / 2));
+  EXPECT_OUTCOME(gpuphys("check-records --task advect_rk2"), 5, "not valid JSON");
+}
+
+TEST_F(Commands, AnIncompleteRunIsNotRecorded) {
+  put_gpu_results();
+  fs::remove(folder + "/results/advect_rk2/gpu/fmad/hidden.json");
+  EXPECT_OUTCOME(gpuphys("record"), 3, "not recorded");
+  EXPECT_FALSE(fs::exists(record_file()));
+  EXPECT_OUTCOME(gpuphys("record --incomplete"), 0, "recorded");
+  EXPECT_OUTCOME(gpuphys("check-records --task advect_rk2"), 13, "MISSING advect_rk2 gpu fmad: hidden");
+  // What is run later is joined to what was recorded from the same sources.
+  fs::remove_all(folder + "/results");
+  put_gpu_results();
+  EXPECT_OUTCOME(gpuphys("record"), 0, "recorded");
+  EXPECT_EQ(gpuphys("check-records --task advect_rk2").code, 0);
+}
+
+TEST_F(Commands, ASlowerTimeIsRecordedOnlyOnPurpose) {
+  put_gpu_results();
+  const std::string path = folder + "/results/advect_rk2/gpu/reference/time.public.json";
+  nlohmann::json j = nlohmann::json::parse(read_file(path));
+  j["gate"]["state"] = "SLOW";
+  write_file(path, j.dump());
+  EXPECT_OUTCOME(gpuphys("record"), 3, "SLOW");
+  EXPECT_OUTCOME(gpuphys("record --accept-slower"), 0, "recorded");
+  EXPECT_EQ(gpuphys("check-records --task advect_rk2").code, 0);
+  EXPECT_NE(read_file(record_file()).find("ACCEPTED"), std::string::npos);
+  EXPECT_OUTCOME(gpuphys("verdict --lane gpu --task advect_rk2"), 3,
+                 "SLOW");  // the live result is still what it was
+}
+
+TEST_F(Commands, TheReportIsMadeFromRecordsAlone) {
+  put_gpu_results();
+  ASSERT_EQ(gpuphys("record").code, 0);
+  fs::remove_all(folder + "/results");
+  const Outcome made = gpuphys("report --task advect_rk2 --output " + folder + "/report");
+  ASSERT_EQ(made.code, 0) << made.output;
+  const std::string page = read_file(folder + "/report/index.html");
+  for (const char* part :
+       {"advect_rk2", "data:image/png;base64,", "Tolerance windows", "Kill matrix", "hard_cfl60"}) {
+    EXPECT_NE(page.find(part), std::string::npos) << part;
+  }
+  EXPECT_EQ(page.find("src=\"http"), std::string::npos) << "the page must stand alone";
+  for (const char* table : {"verdict", "speed_error", "windows", "kills", "timing", "hard_cases"}) {
+    const std::string csv = read_file(folder + "/report/" + table + ".csv");
+    EXPECT_NE(csv.find("advect_rk2,"), std::string::npos) << table;
+  }
+  EXPECT_OUTCOME(gpuphys("report --output " + folder + "/other --python /none"), 5, "cannot start '/none'");
+}
+
+}  // namespace
+}  // namespace gpuphys

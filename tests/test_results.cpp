@@ -1,0 +1,204 @@
+// Result files: what is written comes back, nothing unreadable is passed over, live results win over records.
+#include "core/results.hpp"
+
+#include <gtest/gtest.h>
+
+#include <cmath>
+#include <filesystem>
+
+#include "core/files.hpp"
+
+namespace gpuphys {
+namespace {
+
+namespace fs = std::filesystem;
+
+RunResult sample(const std::string& label = "reference", const std::string& set = "public") {
+  RunResult r;
+  r.task = "t";
+  r.lane = "gpu";
+  r.label = label;
+  r.role = label.starts_with("mutant.") ? "mutant" : "reference";
+  r.set = set;
+  r.set_kind = "public";
+  r.size = "paper";
+  r.state = r.is_mutant() ? RunState::killed : RunState::pass;
+  r.checks = {{"l2", "paper", "u", "relative L2", 1.25e-7, 1e-6, 0.125, true, ""},
+              {"local", "local", "u", "largest", std::nan(""), 1e-4, std::numeric_limits<double>::infinity(),
+               false, "worst"}};
+  r.faults = {{"zero_output", "u is zero"}};
+  r.truth_gap = {{"u", 0.1 + 0.2}};
+  r.milliseconds = 0.3;
+  r.device = "NVIDIA H200";
+  return r;
+}
+
+TimingResult timing(double ms) {
+  TimingResult t;
+  t.task = "t";
+  t.label = "reference";
+  t.set = "public";
+  t.times_ms = {ms, ms, ms};
+  t.median_ms = ms;
+  t.gate = {"OK", 3.1, 3.3};
+  t.ceilings = {{"copy_GBps", 4250}};
+  t.device = "NVIDIA H200";
+  return t;
+}
+
+class Results : public testing::Test {
+ protected:
+  Results() {
+    std::string pattern = (fs::temp_directory_path() / "gpuphys_results_XXXXXX").string();
+    root = ::mkdtemp(pattern.data());
+  }
+  ~Results() override { fs::remove_all(root); }
+  std::string root;
+};
+
+TEST_F(Results, ARunComesBackWithEveryDigitAndNonFiniteNumbers) {
+  const RunResult r = sample("mutant.sign");
+  write_result(root, r);
+  const ResultSet s = load_results(root);
+  ASSERT_EQ(s.runs.size(), 1u) << (s.unreadable.empty() ? "" : s.unreadable[0]);
+  EXPECT_EQ(to_json(s.runs[0]), to_json(r));
+  EXPECT_EQ(s.runs[0].truth_gap.at("u"), 0.1 + 0.2);
+  EXPECT_TRUE(std::isnan(s.runs[0].checks[1].error));
+  EXPECT_TRUE(std::isinf(s.runs[0].checks[1].ratio));
+  EXPECT_TRUE(fs::exists(root + "/t/gpu/mutant.sign/public.json"));
+}
+
+TEST_F(Results, ATimingComesBack) {
+  write_result(root, timing(0.3));
+  const ResultSet s = load_results(root);
+  ASSERT_EQ(s.timings.size(), 1u);
+  EXPECT_EQ(to_json(s.timings[0]), to_json(timing(0.3)));
+  EXPECT_TRUE(fs::exists(root + "/t/gpu/reference/time.public.json"));
+}
+
+TEST_F(Results, EveryStateHasItsName) {
+  for (int i = 0; i <= static_cast<int>(RunState::skipped); ++i) {
+    const auto state = static_cast<RunState>(i);
+    EXPECT_EQ(run_state_from(to_string(state)), state);
+  }
+  EXPECT_THROW(run_state_from("pass"), Error);
+}
+
+TEST_F(Results, UnreadableFilesAreNamed) {
+  write_result(root, sample());
+  const std::string path = root + "/t/gpu/reference/public.json";
+  const std::string whole = read_file(path);
+  const auto refused = [&](const std::string& text) {
+    write_file(path, text);
+    const ResultSet s = load_results(root);
+    EXPECT_TRUE(s.runs.empty()) << text;
+    EXPECT_EQ(s.unreadable.size(), 1u) << text;
+    return s.unreadable.empty() ? "" : s.unreadable[0];
+  };
+  const auto replaced = [&](const std::string& from, const std::string& to) {
+    std::string text = whole;
+    EXPECT_NE(text.find(from), std::string::npos) << from;
+    return text.replace(text.find(from), from.size(), to);
+  };
+  EXPECT_NE(refused(whole.substr(0, whole.size() / 2)).find("not valid JSON"), std::string::npos);
+  EXPECT_NE(refused("").find("not valid JSON"), std::string::npos);
+  EXPECT_NE(refused("[1]").find("expected a JSON object"), std::string::npos);
+  EXPECT_NE(refused(replaced("\"schema\": 1", "\"schema\": 2")).find("schema 2 is not supported"),
+            std::string::npos);
+  EXPECT_NE(refused(replaced("\"PASS\"", "\"GREAT\"")).find("unknown state 'GREAT'"), std::string::npos);
+  EXPECT_NE(refused(replaced("1.25e-07", "\"small\"")).find("\"small\" is not a number"), std::string::npos);
+  EXPECT_NE(refused(replaced("\"label\"", "\"lebal\"")).find("key 'label' is missing"), std::string::npos);
+  EXPECT_NE(refused(replaced("\"set\": \"public\"", "\"set\": \"hidden\"")).find("names another run"),
+            std::string::npos);
+}
+
+TEST_F(Results, AFolderThatDoesNotExistIsEmpty) {
+  EXPECT_TRUE(load_results(root + "/none").runs.empty());
+}
+
+TEST_F(Results, NamesThatAreNoFoldersAreRefused) {
+  for (const std::string label : {"", "..", "a/b"}) {
+    RunResult r = sample();
+    r.label = label;
+    EXPECT_THROW(write_result(root, r), Error) << label;
+  }
+}
+
+TEST_F(Results, LiveResultsWinOverRecords) {
+  ResultSet live, recorded;
+  live.runs = {sample("reference", "public")};
+  live.runs[0].milliseconds = 1;
+  live.timings = {timing(1)};
+  recorded.runs = {sample("reference", "public"), sample("reference", "hidden")};
+  for (RunResult& r : recorded.runs) r.origin = "record x";
+  recorded.timings = {timing(2)};
+  const ResultSet s = merge_results(live, recorded);
+  ASSERT_EQ(s.runs.size(), 2u);
+  EXPECT_EQ(s.find_run("t", "gpu", "reference", "public")->milliseconds, 1);
+  EXPECT_EQ(s.find_run("t", "gpu", "reference", "hidden")->origin, "record x");
+  ASSERT_EQ(s.timings.size(), 1u);
+  EXPECT_EQ(s.timings[0].median_ms, 1);
+}
+
+TEST_F(Results, ASkippedRunDoesNotHideARecordAndIsMentioned) {
+  ResultSet live, recorded;
+  live.runs = {sample("reference", "public"), sample("reference", "hidden")};
+  for (RunResult& r : live.runs) r.state = RunState::skipped;
+  recorded.runs = {sample("reference", "public")};
+  const ResultSet s = merge_results(live, recorded);
+  ASSERT_EQ(s.runs.size(), 2u);
+  EXPECT_EQ(s.find_run("t", "gpu", "reference", "public")->state, RunState::pass);
+  EXPECT_EQ(s.find_run("t", "gpu", "reference", "hidden")->state, RunState::skipped);
+  EXPECT_EQ(s.notes.size(), 1u);
+}
+
+TEST_F(Results, ARecordComesBackAndFailsToLoadWhenDamaged) {
+  TaskRecord record;
+  record.task = "t";
+  record.digest = {{{"a.cpp", "00"}, {"b.cpp", "11"}}, "22"};
+  record.device = "NVIDIA H200";
+  record.results = {sample()};
+  record.timing = {timing(0.3)};
+  write_record(root, "nvidia-h200", record);
+  EXPECT_EQ(to_json(*load_record(root, "nvidia-h200", "t")), to_json(record));
+  EXPECT_FALSE(load_record(root, "nvidia-h200", "other").has_value());
+  EXPECT_EQ(recorded_gpus(root), std::vector<std::string>{"nvidia-h200"});
+  const ResultSet s = load_records(root, "nvidia-h200");
+  EXPECT_EQ(s.runs.at(0).origin, "record nvidia-h200");
+  write_file(root + "/nvidia-h200/t.json", "{");
+  EXPECT_THROW(load_record(root, "nvidia-h200", "t"), Error);
+  EXPECT_EQ(load_records(root, "nvidia-h200").unreadable.size(), 1u);
+}
+
+TEST_F(Results, SeveralRecordedGpusMustBeChosenFrom) {
+  TaskRecord record;
+  record.task = "t";
+  write_record(root, "gpu-a", record);
+  write_record(root, "gpu-b", record);
+  EXPECT_THROW(gather_results(root + "/none", root, ""), Error);
+  EXPECT_THROW(gather_results(root + "/none", root, "gpu-c"), Error);
+  EXPECT_NO_THROW(gather_results(root + "/none", root, "gpu-b"));
+}
+
+TEST(GpuSlug, IsAFoldersName) {
+  EXPECT_EQ(gpu_slug("NVIDIA H200"), "nvidia-h200");
+  EXPECT_EQ(gpu_slug("NVIDIA GeForce RTX 4090 (x)"), "nvidia-geforce-rtx-4090-x");
+}
+
+TEST(WriteFile, ReplacesOrLeavesAlone) {
+  std::string pattern = (fs::temp_directory_path() / "gpuphys_files_XXXXXX").string();
+  const std::string folder = ::mkdtemp(pattern.data());
+  write_file(folder + "/new/a", "one");
+  { PendingFile abandoned(folder + "/new/a"); }
+  EXPECT_EQ(read_file(folder + "/new/a"), "one");
+  write_file(folder + "/new/a", "two");
+  EXPECT_EQ(read_file(folder + "/new/a"), "two");
+  EXPECT_EQ(std::distance(fs::directory_iterator(folder + "/new"), fs::directory_iterator{}), 1);
+  EXPECT_THROW(write_file(folder + "/new/a/below", "x"), Error);
+  EXPECT_THROW(write_file(folder + "/new", "x"), Error);
+  EXPECT_THROW(read_file(folder + "/none"), Error);
+  fs::remove_all(folder);
+}
+
+}  // namespace
+}  // namespace gpuphys
