@@ -129,10 +129,13 @@ TEST_F(Cli, AStuckModuleIsStoppedAndNamed) {
 
 TEST_F(Cli, ExportThenCheckOfWrongFiles) {
   ASSERT_EQ(call("export --task advect_rk2 --set public_smoke --output inputs.h5").code, 0);
-  expect_error("check --task advect_rk2 --set public_smoke --outputs missing.h5", ExitCode::bad_input, {"missing.h5"});
-  expect_error("check --task advect_rk2 --set public_smoke --outputs inputs.h5", ExitCode::bad_input, {"inputs.h5"});
+  expect_error("check --task advect_rk2 --set public_smoke --outputs missing.h5", ExitCode::bad_input,
+               {"missing.h5"});
+  expect_error("check --task advect_rk2 --set public_smoke --outputs inputs.h5", ExitCode::bad_input,
+               {"inputs.h5"});
   std::ofstream(folder_ / "text.h5") << "not HDF5";
-  expect_error("check --task advect_rk2 --set public_smoke --outputs text.h5", ExitCode::bad_input, {"text.h5"});
+  expect_error("check --task advect_rk2 --set public_smoke --outputs text.h5", ExitCode::bad_input,
+               {"text.h5"});
 }
 
 }  // namespace

@@ -17,7 +17,9 @@
 #include "core/files.hpp"
 
 // HDF5 1.10 leaks on its own error paths when it meets a damaged file; leaks of ours are still reported.
-extern "C" const char* __lsan_default_suppressions() { return "leak:libhdf5"; }
+extern "C" const char* __lsan_default_suppressions() {
+  return "leak:libhdf5";
+}
 
 namespace gpuphys {
 namespace {

@@ -2,6 +2,7 @@
 //
 // (A x)[i,j,k] = a_diag[i,j,k] x[i,j,k] + a_x[i,j,k] x[i+1,j,k] + a_x[i-1,j,k] x[i-1,j,k] + the same along y
 // and z: the arrays hold signed matrix entries, a_x[i,j,k] the one that couples (i,j,k) and (i+1,j,k).
+// A solver may use the input buffers as scratch memory, as in the paper.
 #pragma once
 
 #include "core/contract.hpp"

@@ -9,12 +9,15 @@
 // faces that close the grid on the upper side (i = nx of ux, j = ny of uy, k = nz of uz) belong to no cell;
 // the first blocks of the launch take them.
 //
-// What bounds it: issue slots and L1 wavefronts, not DRAM. Per cell there are 18 distinct loads for the
-// velocities at the three faces (exact means of four), 72 for the midpoints and 24 for the departure points,
-// nearly all L1 hits. What pays is fewer instructions around those loads: floors are one rounded-down
-// addition whose raw bits go straight into the offset, walls are three float minima and maxima per axis
-// instead of index clamps or branches (a separate path for points near walls was tried: the lanes near z
-// walls dragged a quarter of all warps through it), a point costs four row pointers.
+// What bounds it: L1, not DRAM. Per cell there are 18 distinct loads for the velocities at the three faces
+// (exact means of four), 72 for the midpoints and 24 for the departure points, nearly all L1 hits. A warp's
+// load of 32 neighbours along z starts anywhere, so it spans two lines and takes 1.8 wavefronts (measured);
+// at 75 % of the L1 data pipe and 61 % of the issue slots the kernel is a third above what that pipe alone
+// would take. What pays is fewer instructions around those loads: floors are one rounded-down addition whose
+// raw bits go straight into the offset, walls are float minima and maxima along each axis instead of index
+// clamps or branches, a point costs four row pointers. Tried and dropped: a branch to an unclamped path for
+// points clear of the walls (0.76 ms; the lanes near z walls drag a quarter of all warps through both), 16 x
+// 2 lanes a warp (0.66), three blocks an SM instead of four (0.60), one component a launch (0.77).
 #include "cases/grid_lattice/advect_rk2.hpp"
 #include "references/grid_lattice/mac_interpolation.cuh"
 
@@ -23,12 +26,12 @@ namespace {
 
 struct Policy {
   static constexpr int tile_z = 32;   // along the contiguous index
-  static constexpr int tile_y = 8;    // rows of a block share most of their midpoint and departure rows in L1
+  static constexpr int tile_y = 4;    // rows of a block share most of their midpoint and departure rows in L1
   static constexpr int lanes_z = 32;  // lanes of a warp along z; the rest of them along y
   static constexpr int march_x =
       4;  // cells a thread visits along x: planes stay in L1 from one step to the next
   static constexpr int threads = tile_z * tile_y;
-  static constexpr int blocks_per_sm = 4;
+  static constexpr int blocks_per_sm = 8;
 };
 
 struct Result {

@@ -1,0 +1,449 @@
+// Solves a seven-point system by multigrid, with Krylov acceleration where multigrid alone is slow.
+//
+// The plain iteration x <- x + M (b - A x), M one V(1,1) cycle, needs only two passes over the fine grid per
+// cycle and computes the true residual anyway. When a cycle reduces the residual by too little (strong jumps,
+// walls thinner than a coarse cell), the same cycle becomes the preconditioner of a truncated flexible GCR
+// iteration, whose residual never grows. The cycle is not symmetric (red before black on the way down and on
+// the way up, which is what makes it fast), hence GCR rather than CG.
+#pragma once
+
+#include <algorithm>
+#include <cmath>
+#include <cstddef>
+#include <limits>
+#include <stdexcept>
+#include <string>
+#include <utility>
+#include <vector>
+
+#include "core/module.hpp"
+#include "references/global_solve/multigrid_krylov.cuh"
+#include "references/global_solve/multigrid_tail.cuh"
+
+namespace gpuphys::multigrid {
+
+struct SolverPolicy {
+  static constexpr float safety = 0.9f;    // the iteration aims below the tolerance by this factor
+  static constexpr float verdict = 0.98f;  // and is accepted below it by this one: norms are summed in FP32
+  static constexpr float slow = 0.35f;     // a cycle that reduces the residual by less calls for acceleration
+  static constexpr float useless = 0.9f;   // one that reduces it by less than this is started over
+  static constexpr float outlook = 2.0f;  // residual after a cycle over that after the next way down, at most
+  static constexpr int max_cycles = 40;   // of the plain iteration
+  static constexpr int max_steps = 400;   // of the accelerated one
+  static constexpr int stagnation_steps = 30;  // within these the residual must halve
+  static constexpr int refresh_steps = 40;     // after these the recurrence is replaced by the true residual
+  static constexpr int down_rows = 16;         // tile of the pass with a residual
+  static constexpr int up_rows = 24;           // tile of the pass with a correction
+};
+
+template <class T>
+class DeviceBuffer {
+ public:
+  DeviceBuffer() = default;
+  explicit DeviceBuffer(std::size_t count) {
+    GPUPHYS_CUDA(cudaMalloc(&data_, sizeof(T) * (count ? count : 1)));
+  }
+  DeviceBuffer(DeviceBuffer&& o) noexcept : data_(o.data_) { o.data_ = nullptr; }
+  DeviceBuffer& operator=(DeviceBuffer&& o) noexcept {
+    std::swap(data_, o.data_);
+    return *this;
+  }
+  ~DeviceBuffer() { cudaFree(data_); }
+  T* get() const { return data_; }
+
+ private:
+  T* data_ = nullptr;
+};
+
+template <class T>
+class PinnedBuffer {
+ public:
+  PinnedBuffer() = default;
+  explicit PinnedBuffer(std::size_t count) { GPUPHYS_CUDA(cudaMallocHost(&data_, sizeof(T) * count)); }
+  PinnedBuffer(PinnedBuffer&& o) noexcept : data_(o.data_) { o.data_ = nullptr; }
+  PinnedBuffer& operator=(PinnedBuffer&& o) noexcept {
+    std::swap(data_, o.data_);
+    return *this;
+  }
+  ~PinnedBuffer() { cudaFreeHost(data_); }
+  T* get() const { return data_; }
+
+ private:
+  T* data_ = nullptr;
+};
+
+/// Outcome of a solve, for tests and reports.
+struct SolveReport {
+  int cycles = 0;               ///< multigrid cycles, of either phase
+  int steps = 0;                ///< of these, accelerated ones
+  float relative_residual = 0;  ///< true residual of the returned solution
+  bool converged = false;
+};
+
+class Solver {
+ public:
+  /// Allocates for systems of this size. `singular` promises rows that sum to zero (pure Neumann): constants
+  /// are then kept out of the coarse systems and the solution is returned with zero mean.
+  void allocate(int nx, int ny, int nz, bool singular) {
+    // Entries, with rows padded to four, are counted in 32 bits.
+    if (nx < 1 || ny < 1 || nz < 1 || static_cast<double>(nx) * ny * ((nz + 3) / 4 * 4) > 2.1e9) {
+      throw std::runtime_error("multigrid: the grid has no cells or more than 2.1e9");
+    }
+    singular_ = singular;
+    GPUPHYS_CUDA(cudaDeviceGetAttribute(&processors_, cudaDevAttrMultiProcessorCount, 0));
+    levels_.resize(1);
+    levels_[0].nx = nx, levels_[0].ny = ny, levels_[0].nz = nz, levels_[0].pitch = (nz + 3) / 4 * 4;
+    const std::size_t cells = static_cast<std::size_t>(nx) * ny * levels_[0].pitch;
+    if (levels_[0].pitch != nz) {
+      for (auto* v : {&levels_[0].diag, &levels_[0].ax, &levels_[0].ay, &levels_[0].az, &levels_[0].rhs})
+        *v = DeviceBuffer<float>(cells);
+    }
+    for (auto* v : {&x_[0], &x_[1], &r_}) *v = DeviceBuffer<float>(cells);
+    for (int w = 0; w <= KrylovPolicy::window; ++w) {
+      d_.emplace_back(cells);
+      q_.emplace_back(cells);
+    }
+    const auto half = [](int n) { return (n + 1) / 2; };
+    do {
+      const Level& f = levels_.back();
+      Level c;
+      c.nx = half(f.nx), c.ny = half(f.ny), c.nz = half(f.nz), c.pitch = (c.nz + 15) / 16 * 16;
+      const std::size_t size = static_cast<std::size_t>(c.nx) * c.ny * c.pitch;
+      for (auto* v : {&c.diag, &c.ax, &c.ay, &c.az, &c.rhs, &c.mid, &c.x}) *v = DeviceBuffer<float>(size);
+      c.gates = DeviceBuffer<Gates>(size);
+      levels_.push_back(std::move(c));
+    } while (levels_.back().nx * levels_.back().ny * levels_.back().nz > 1);
+    tail_ = 1;
+    while (tail_ + 1 < static_cast<int>(levels_.size()) && cells_of(tail_) > TailPolicy::cells) ++tail_;
+    int most = KrylovPolicy::max_blocks;
+    for (int l = 0; l < tail_; ++l) {
+      const dim3 grid = smooth_grid<true>(levels_[l], nullptr);
+      most = std::max(most, static_cast<int>(grid.x * grid.y * grid.z));
+    }
+    partials_ = DeviceBuffer<float>(static_cast<std::size_t>(most) * KrylovPolicy::sums);
+    largest_ = DeviceBuffer<float>(scan_blocks());
+    sums_ = DeviceBuffer<float>(scan_blocks());
+    counts_ = DeviceBuffer<int>(scan_blocks());
+    state_ = DeviceBuffer<State>(1);
+    host_ = PinnedBuffer<State>(1);
+  }
+
+  /// Everything from the inputs to `out`, on the legacy default stream; returns when the solution is decided.
+  const SolveReport& solve(const float* diag, const float* ax, const float* ay, const float* az,
+                           const float* b, const bool* active, float tolerance, float* out) {
+    if (!event_.handle) GPUPHYS_CUDA(cudaEventCreateWithFlags(&event_.handle, cudaEventDisableTiming));
+    Level& fine = levels_[0];
+    if (fine.pitch == fine.nz) {
+      fine.view = {diag, ax, ay, az, fine.nx, fine.ny, fine.nz, fine.pitch};
+      b_ = b;
+    } else {
+      // Rows that do not start on 16 bytes cannot be fetched by the copy engine.
+      const int rows = fine.nx * fine.ny;
+      const auto padded = [&](const float* from, const DeviceBuffer<float>& to) {
+        pad_rows<<<vector_blocks(), KrylovPolicy::threads>>>(from, to.get(), rows, fine.nz, fine.pitch);
+        return to.get();
+      };
+      fine.view = {padded(diag, fine.diag),
+                   padded(ax, fine.ax),
+                   padded(ay, fine.ay),
+                   padded(az, fine.az),
+                   fine.nx,
+                   fine.ny,
+                   fine.nz,
+                   fine.pitch};
+      b_ = padded(b, fine.rhs);
+    }
+    active_ = active;
+    out_ = out;
+    set_up(b);
+    report_ = run(tolerance);
+    return report_;
+  }
+
+  /// What the last solve did.
+  const SolveReport& report() const { return report_; }
+
+ private:
+  struct Level {
+    int nx = 0, ny = 0, nz = 0, pitch = 0;
+    DeviceBuffer<float> diag, ax, ay, az;  // of coarse levels; level 0 is the input
+    DeviceBuffer<float> rhs, mid, x;       // mid: between the two passes of a cycle
+    DeviceBuffer<Gates> gates;
+    Matrix view;
+  };
+  struct Event {
+    cudaEvent_t handle = nullptr;
+    ~Event() {
+      if (handle) cudaEventDestroy(handle);
+    }
+  };
+
+  const int* done() const {
+    return reinterpret_cast<const int*>(reinterpret_cast<char*>(state_.get()) + offsetof(State, done));
+  }
+  const float* scale() const { return &state_.get()->scale; }
+  const float* shift() const { return &state_.get()->shift; }
+  const float* one() const { return &state_.get()->one; }
+  const float* zero() const { return &state_.get()->zero; }
+
+  int cells_of(int l) const {
+    const Level& v = levels_[static_cast<std::size_t>(l)];
+    return v.nx * v.ny * v.nz;
+  }
+  int cells() const { return levels_[0].nx * levels_[0].ny * levels_[0].nz; }
+  int vector_blocks() const {
+    const int quads = levels_[0].nx * levels_[0].ny * ((levels_[0].nz + 3) / 4);
+    return std::min(KrylovPolicy::max_blocks, (quads + KrylovPolicy::threads - 1) / KrylovPolicy::threads);
+  }
+
+  int scan_blocks() const {
+    return std::min(1024, (cells() + 4 * KrylovPolicy::threads - 1) / (4 * KrylovPolicy::threads));
+  }
+
+  void set_up(const float* b) {
+    const int blocks = scan_blocks();
+    scan_input<<<blocks, KrylovPolicy::threads>>>(b, active_, cells(), largest_.get(), sums_.get(),
+                                                  counts_.get());
+    begin_solve<<<1, 1024>>>(state_.get(), largest_.get(), sums_.get(), counts_.get(), blocks, singular_);
+    for (std::size_t l = 1; l < levels_.size(); ++l) {
+      Level& c = levels_[l];
+      c.view = {c.diag.get(), c.ax.get(), c.ay.get(), c.az.get(), c.nx, c.ny, c.nz, c.pitch};
+      const MutableMatrix to{c.diag.get(), c.ax.get(), c.ay.get(), c.az.get(), c.gates.get()};
+      coarsen<<<static_cast<unsigned>((c.view.size() + 127) / 128), 128>>>(levels_[l - 1].view, c.view, to,
+                                                                           singular_);
+    }
+  }
+
+  // Tiles of a level, marching far enough along x for one wave of blocks.
+  template <bool kDown>
+  dim3 smooth_grid(const Level& l, int* planes_per_block) const {
+    const int rows = kDown ? SolverPolicy::down_rows : SolverPolicy::up_rows;
+    const int bz = (l.nz + SmoothPolicy::columns - 1) / SmoothPolicy::columns, by = (l.ny + rows - 1) / rows;
+    const int chunks = std::max(1, std::min(processors_ / (by * bz), (l.nx + 3) / 4));
+    int planes = (l.nx + chunks - 1) / chunks;
+    planes = std::min(128, planes + planes % 2);
+    if (planes_per_block) *planes_per_block = planes;
+    return dim3(static_cast<unsigned>(bz), static_cast<unsigned>(by),
+                static_cast<unsigned>((l.nx + planes - 1) / planes));
+  }
+
+  using EncodeTiled = CUresult(CUtensorMap*, CUtensorMapDataType, cuuint32_t, void*, const cuuint64_t*,
+                               const cuuint64_t*, const cuuint32_t*, const cuuint32_t*, CUtensorMapInterleave,
+                               CUtensorMapSwizzle, CUtensorMapL2promotion, CUtensorMapFloatOOBfill);
+
+  // The description of an array of a level that the copy engine needs to fetch boxes of 1 x rows x columns.
+  template <class T>
+  void describe(CUtensorMap& map, const T* data, const Level& l, int columns, int rows) const {
+    static const auto encode = [] {
+      void* entry = nullptr;
+      cudaDriverEntryPointQueryResult found;
+      GPUPHYS_CUDA(cudaGetDriverEntryPointByVersion("cuTensorMapEncodeTiled", &entry, 12000,
+                                                    cudaEnableDefault, &found));
+      if (found != cudaDriverEntryPointSuccess)
+        throw std::runtime_error("multigrid: the driver cannot describe tensors");
+      return reinterpret_cast<EncodeTiled*>(entry);
+    }();
+    // Up to the next multiple of four columns arrays hold zeros; beyond, nothing need be defined.
+    const cuuint64_t size[3] = {static_cast<cuuint64_t>((l.nz + 3) / 4 * 4), static_cast<cuuint64_t>(l.ny),
+                                static_cast<cuuint64_t>(l.nx)};
+    const cuuint64_t row = sizeof(T) * static_cast<cuuint64_t>(l.pitch);
+    const cuuint64_t strides[2] = {row, row * static_cast<cuuint64_t>(l.ny)};
+    const cuuint32_t box[3] = {static_cast<cuuint32_t>(columns), static_cast<cuuint32_t>(rows), 1};
+    const cuuint32_t one[3] = {1, 1, 1};
+    const CUresult status = encode(
+        &map, sizeof(T) == 4 ? CU_TENSOR_MAP_DATA_TYPE_FLOAT32 : CU_TENSOR_MAP_DATA_TYPE_UINT8, 3,
+        const_cast<T*>(data), size, strides, box, one, CU_TENSOR_MAP_INTERLEAVE_NONE,
+        CU_TENSOR_MAP_SWIZZLE_NONE, CU_TENSOR_MAP_L2_PROMOTION_L2_128B, CU_TENSOR_MAP_FLOAT_OOB_FILL_NONE);
+    if (status != CUDA_SUCCESS)
+      throw std::runtime_error("multigrid: tensor description refused, driver error " +
+                               std::to_string(status));
+  }
+
+  // x_in null: start from zero.
+  template <bool kDown>
+  int pass(int l, const float* x_in, float* x_out, const float* rhs, const float* rhs_scale,
+           const float* rhs_shift, float* partials) {
+    constexpr int rows = kDown ? SolverPolicy::down_rows : SolverPolicy::up_rows;
+    using Tile = SmoothTile<rows, !kDown, kDown>;
+    const Level &f = levels_[static_cast<std::size_t>(l)], &c = levels_[static_cast<std::size_t>(l) + 1];
+    SmoothArgs g{};
+    const auto box = [&](CUtensorMap& map, const float* data) {
+      describe(map, data, f, SmoothPolicy::width, Tile::rows);
+    };
+    box(g.maps.ax, f.view.ax), box(g.maps.ay, f.view.ay), box(g.maps.az, f.view.az),
+        box(g.maps.diag, f.view.diag);
+    box(g.maps.rhs, rhs), box(g.maps.x, x_in ? x_in : rhs);
+    if constexpr (!kDown) {
+      describe(g.maps.e, c.x.get(), c, SmoothPolicy::e_width, Tile::e_rows);
+      describe(g.maps.gates, c.gates.get(), c, SmoothPolicy::gates_width, Tile::e_rows);
+    }
+    g.nx = f.nx, g.ny = f.ny, g.nz = f.nz, g.pitch = f.pitch;
+    g.from_zero = x_in == nullptr;
+    g.x_out = x_out;
+    g.rhs_scale = rhs_scale, g.rhs_shift = rhs_shift;
+    g.coarse_rhs = c.rhs.get(), g.coarse_ny = c.ny, g.coarse_pitch = c.pitch;
+    g.partials = partials;
+    g.done = done();
+    const dim3 grid = smooth_grid<kDown>(f, &g.planes_per_block);
+    const auto kernel = smooth<rows, !kDown, kDown>;
+    GPUPHYS_CUDA(
+        cudaFuncSetAttribute(kernel, cudaFuncAttributeMaxDynamicSharedMemorySize, Tile::shared_bytes));
+    kernel<<<grid, Tile::threads, Tile::shared_bytes>>>(g);
+    return static_cast<int>(grid.x * grid.y * grid.z);
+  }
+
+  int pass_down(int l, const float* x_in, float* x_out, const float* rhs, bool is_input, float* partials) {
+    return pass<true>(l, x_in, x_out, rhs, is_input ? scale() : one(), is_input ? shift() : zero(), partials);
+  }
+  int pass_up(int l, const float* x_in, float* x_out, const float* rhs, bool is_input, float* partials) {
+    return pass<false>(l, x_in, x_out, rhs, is_input ? scale() : one(), is_input ? shift() : zero(),
+                       partials);
+  }
+
+  // From the right-hand side of level 1 to its correction.
+  void coarse_correction() {
+    const auto level = [&](int l) -> Level& { return levels_[static_cast<std::size_t>(l)]; };
+    for (int l = 1; l < tail_; ++l)
+      pass_down(l, nullptr, level(l).mid.get(), level(l).rhs.get(), false, nullptr);
+    TailArgs g{};
+    g.done = done();
+    g.solo = 0;
+    for (int l = tail_; l < static_cast<int>(levels_.size()); ++l) {
+      const Level& c = level(l);
+      g.level[g.levels++] = {c.view, c.gates.get(), c.x.get(), c.rhs.get()};
+      if (c.nx * c.ny * c.nz > TailPolicy::solo_cells) g.solo = g.levels;
+    }
+    solve_tail<<<TailPolicy::blocks, TailPolicy::threads>>>(g);
+    for (int l = tail_ - 1; l >= 1; --l)
+      pass_up(l, level(l).mid.get(), level(l).x.get(), level(l).rhs.get(), false, nullptr);
+  }
+
+  State wait() {
+    GPUPHYS_CUDA(cudaEventRecord(event_.handle));
+    GPUPHYS_CUDA(cudaEventSynchronize(event_.handle));
+    return *host_.get();
+  }
+
+  SolveReport run(float tolerance) {
+    SolveReport report;
+    const float aim = SolverPolicy::safety * tolerance;
+    bool from_zero = false, finished = false;
+    float previous = std::numeric_limits<float>::infinity();
+    for (int n = 0; n < SolverPolicy::max_cycles; ++n) {
+      const int blocks = pass_down(0, n == 0 ? nullptr : x_[0].get(), x_[1].get(), b_, true, partials_.get());
+      judge_cycle<<<1, 1024>>>(state_.get(), host_.get(), partials_.get(), blocks, aim, singular_);
+      GPUPHYS_CUDA(cudaEventRecord(event_.handle));
+      coarse_correction();
+      const int up_blocks = pass_up(0, x_[1].get(), x_[0].get(), b_, true, partials_.get());
+      ++report.cycles;
+      GPUPHYS_CUDA(cudaEventSynchronize(event_.handle));
+      const State s = *host_.get();
+      if (s.done) {
+        if (s.rhs2 == 0) {
+          GPUPHYS_CUDA(cudaMemsetAsync(out_, 0, sizeof(float) * static_cast<std::size_t>(cells())));
+          report.converged = true;
+          return report;
+        }
+        finished = true;
+        break;
+      }
+      const float norm = std::sqrt(s.r2 / s.rhs2);
+      if (!(norm < SolverPolicy::useless * previous)) {
+        from_zero = true;
+        break;
+      }
+      if (n > 0 && norm > SolverPolicy::slow * previous) break;
+      // The cycle under way takes the residual down by the same factor again, short of the relaxation of its
+      // successor's way down. Where that is expected to do, look before starting another one.
+      if (n > 0 && SolverPolicy::outlook * norm * (norm / previous) < aim) {
+        judge_mean<<<1, 1024>>>(state_.get(), partials_.get(), up_blocks, singular_);
+        if (accept(x_[0].get(), tolerance, report)) return report;
+      }
+      previous = norm;
+    }
+    if (finished) {
+      if (accept(x_[1].get(), tolerance, report)) return report;
+      // What is left is the part of b that is constant on the active cells: no x does better.
+      const State s = *host_.get();
+      if (s.shift * s.shift * static_cast<float>(s.active) >= 0.25f * s.r2) return report;
+    }
+    accelerate(x_[1].get(), from_zero, tolerance, report);
+    accept(x_[1].get(), tolerance, report);
+    return report;
+  }
+
+  // Writes the solution and measures the residual of what was written.
+  bool accept(const float* x, float tolerance, SolveReport& report) {
+    const int blocks = vector_blocks();
+    write_solution<<<blocks, KrylovPolicy::threads>>>(levels_[0].view, b_, x, active_, out_, state_.get(),
+                                                      partials_.get());
+    judge_solution<<<1, 1024>>>(state_.get(), host_.get(), partials_.get(), blocks,
+                                SolverPolicy::verdict * tolerance);
+    const State s = wait();
+    report.relative_residual = s.rhs2 > 0 ? std::sqrt(s.r2 / s.rhs2) : 0.0f;
+    report.converged = s.done != 0;
+    return report.converged;
+  }
+
+  State true_residual(const float* x) {
+    const int blocks = vector_blocks();
+    replace_residual<<<blocks, KrylovPolicy::threads>>>(levels_[0].view, b_, x, r_.get(), state_.get(),
+                                                        partials_.get());
+    judge_residual<<<1, 1024>>>(state_.get(), host_.get(), partials_.get(), blocks, singular_);
+    return wait();
+  }
+
+  void accelerate(float* x, bool from_zero, float tolerance, SolveReport& report) {
+    const Matrix& a = levels_[0].view;
+    if (from_zero) GPUPHYS_CUDA(cudaMemsetAsync(x, 0, sizeof(float) * static_cast<std::size_t>(a.size())));
+    const int blocks = vector_blocks();
+    const float aim = SolverPolicy::safety * tolerance;
+    const auto relative = [](const State& s) { return std::sqrt(s.r2 / s.rhs2); };
+    float replaced = relative(true_residual(x));  // norm at the last replacement
+    float milestone = replaced;
+    int since_milestone = 0, since_replacement = 0, kept = 0, slot = 0;
+    while (!(replaced < aim) && report.steps < SolverPolicy::max_steps) {
+      Directions s{};
+      s.kept = kept;
+      for (int w = 0; w < KrylovPolicy::window; ++w) s.d[w] = d_[w].get(), s.q[w] = q_[w].get();
+      float *d = d_[KrylovPolicy::window].get(), *q = q_[KrylovPolicy::window].get();
+      pass_down(0, nullptr, x_[0].get(), r_.get(), false, nullptr);
+      coarse_correction();
+      pass_up(0, x_[0].get(), d, r_.get(), false, nullptr);
+      apply_direction<<<blocks, KrylovPolicy::threads>>>(a, s, d, q, r_.get(), partials_.get());
+      choose_step<<<1, 1024>>>(state_.get(), partials_.get(), blocks, kept);
+      take_step<<<blocks, KrylovPolicy::threads>>>(a, s, d, q, x, r_.get(), state_.get(), partials_.get());
+      judge_step<<<1, 1024>>>(state_.get(), host_.get(), partials_.get(), blocks, slot, singular_);
+      std::swap(d_[slot], d_[KrylovPolicy::window]);
+      std::swap(q_[slot], q_[KrylovPolicy::window]);
+      kept = std::min(kept + 1, KrylovPolicy::window);
+      slot = (slot + 1) % KrylovPolicy::window;
+      ++report.steps, ++report.cycles, ++since_milestone, ++since_replacement;
+      const float norm = relative(wait());
+      if (norm < 0.5f * milestone) milestone = norm, since_milestone = 0;
+      const bool stagnant = since_milestone >= SolverPolicy::stagnation_steps || !std::isfinite(norm);
+      if (norm < aim || stagnant || since_replacement >= SolverPolicy::refresh_steps) {
+        const float now = relative(true_residual(x));
+        if (stagnant || (norm < aim && !(now < 0.7f * replaced))) break;
+        replaced = now;
+        since_replacement = kept = slot = 0;
+      }
+    }
+  }
+
+  SolveReport report_;
+  bool singular_ = false;
+  int processors_ = 1, tail_ = 1;
+  std::vector<Level> levels_;
+  DeviceBuffer<float> x_[2], r_, partials_, largest_, sums_;
+  std::vector<DeviceBuffer<float>> d_, q_;
+  DeviceBuffer<int> counts_;
+  DeviceBuffer<State> state_;
+  PinnedBuffer<State> host_;
+  Event event_;
+  const float* b_ = nullptr;
+  const bool* active_ = nullptr;
+  float* out_ = nullptr;
+};
+
+}  // namespace gpuphys::multigrid
