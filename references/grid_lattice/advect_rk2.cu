@@ -25,11 +25,9 @@ namespace gpuphys::advect_rk2 {
 namespace {
 
 struct Policy {
-  static constexpr int tile_z = 32;   // along the contiguous index
-  static constexpr int tile_y = 4;    // rows of a block share most of their midpoint and departure rows in L1
-  static constexpr int lanes_z = 32;  // lanes of a warp along z; the rest of them along y
-  static constexpr int march_x =
-      4;  // cells a thread visits along x: planes stay in L1 from one step to the next
+  static constexpr int tile_z = 32;  // one warp along the contiguous index
+  static constexpr int tile_y = 4;   // rows of a block share most of their midpoint and departure rows in L1
+  static constexpr int march_x = 4;  // cells a thread visits along x: planes stay in L1 meanwhile
   static constexpr int threads = tile_z * tile_y;
   static constexpr int blocks_per_sm = 8;
 };
@@ -105,10 +103,8 @@ __global__ void __launch_bounds__(Policy::threads, Policy::blocks_per_sm)
   }
   const int tile_z = block % tiling.tiles_z, tile_y = block / tiling.tiles_z % tiling.tiles_y,
             tile_x = block / tiling.tiles_z / tiling.tiles_y;
-  constexpr int warps_z = Policy::tile_z / Policy::lanes_z, lanes_y = 32 / Policy::lanes_z;
-  const int lane = static_cast<int>(threadIdx.x) % 32, warp = static_cast<int>(threadIdx.x) / 32;
-  const int k = tile_z * Policy::tile_z + warp % warps_z * Policy::lanes_z + lane % Policy::lanes_z;
-  const int j = tile_y * Policy::tile_y + warp / warps_z * lanes_y + lane / Policy::lanes_z;
+  const int k = tile_z * Policy::tile_z + static_cast<int>(threadIdx.x) % Policy::tile_z;
+  const int j = tile_y * Policy::tile_y + static_cast<int>(threadIdx.x) / Policy::tile_z;
   if (k >= v.n[2] || j >= v.n[1]) return;
   const int begin = tile_x * Policy::march_x, end = min(begin + Policy::march_x, v.n[0]);
   mac::Cell cell = mac::make_cell(v, begin, j, k);
