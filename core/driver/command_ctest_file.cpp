@@ -81,7 +81,7 @@ class Writer {
         // The tool's own exit code when it finds something; the checks must pass under it as well.
         TestCase test = make(fmt::format("sanitizer.{}", tool), "public_smoke",
                              {"run", "--task", task_.name, "--module", "reference", "--set", "public_smoke",
-                              "--label", fmt::format("sanitized_{}", tool)},
+                              "--label", fmt::format("sanitized_{}", tool), "--under-tool"},
                              {"sanitizer", "gpu", "smoke"}, 600);
         std::vector<std::string> wrapped{o_.sanitizer, fmt::format("--tool={}", tool), "--error-exitcode=9",
                                          "--target-processes=all"};
