@@ -76,6 +76,12 @@ class Writer {
       add("time", set.name, {"time", "--task", task_.name, "--module", "reference", "--set", set.name},
           {"time", "gpu", "paper"}, 300, true);
     }
+    add("time", "fmad.public", {"time", "--task", task_.name, "--module", "fmad"}, {"time", "gpu", "paper"},
+        300, true);
+    if (task_.knob) {
+      add("time", "sweep", {"time", "--task", task_.name, "--module", "reference", "--sweep"},
+          {"time", "gpu", "paper"}, 600, true);
+    }
     if (!o_.sanitizer.empty()) {
       for (const char* tool : {"memcheck", "racecheck", "initcheck"}) {
         // The tool's own exit code when it finds something; the checks must pass under it as well.

@@ -39,18 +39,19 @@ json extreme_json(const Extreme& e) {
           {"check", e.check}};
 }
 
-// Time against distance to the FP64 truth, for whatever was timed or at least ran on the GPU.
+// Time against distance to the FP64 truth, for whatever was timed alone on the GPU. The time of a judged call
+// does not do: judging shares the GPU with other tests.
 json speed_error(const ResultSet& results, const std::string& task) {
   json points = json::array();
   for (const RunResult& r : results.runs) {
     if (r.task != task || r.lane != "gpu" || r.is_mutant() || r.size != "paper" || r.set_kind == "hard")
       continue;
     const TimingResult* t = results.find_timing(task, r.label, r.set);
+    if (t == nullptr) continue;
     points.push_back({{"label", r.label},
                       {"set", r.set},
                       {"role", r.role},
-                      {"milliseconds", json_number(t != nullptr ? t->median_ms : r.milliseconds)},
-                      {"timed", t != nullptr},
+                      {"milliseconds", json_number(t->median_ms)},
                       {"truth_gap", json_number(r.worst_truth_gap())},
                       {"truth_source", r.truth_source},
                       {"state", to_string(r.state)},

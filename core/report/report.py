@@ -114,7 +114,7 @@ def speed_error_figure(task):
         if p["overrides"]:
             sweeps.setdefault((p["label"].split("@")[0], p["set"]), []).append(p)
     for line in sweeps.values():
-        line.sort(key=lambda p: number(p["milliseconds"]))
+        line.sort(key=lambda p: [number(v) for v in p["overrides"].values()])
         lx = [number(p["milliseconds"]) for p in line]
         ly = [number(p["truth_gap"]) for p in line]
         axes.plot(lx, ly, color=BLUE, linewidth=0.9, marker=".", markersize=5, zorder=2)
@@ -346,8 +346,8 @@ def write_tables(folder, tasks):
                 t["target_multiple"], v["hard_passed"], v["hard_total"], len(t["issues"])]
                for t in tasks for v in [t["verdict"]]])
     write_csv(folder, "speed_error.csv",
-              ["task", "label", "role", "set", "milliseconds", "timed", "truth_gap", "truth_source", "state", "overrides"],
-              [[t["name"], p["label"], p["role"], p["set"], p["milliseconds"], p["timed"], p["truth_gap"],
+              ["task", "label", "role", "set", "milliseconds", "truth_gap", "truth_source", "state", "overrides"],
+              [[t["name"], p["label"], p["role"], p["set"], p["milliseconds"], p["truth_gap"],
                 p["truth_source"], p["state"], json.dumps(p["overrides"])] for t in tasks for p in t["speed_error"]])
     write_csv(folder, "windows.csv",
               ["task", "check", "kind", "quantity", "norm", "tolerance", "largest_correct_ratio", "largest_correct",
