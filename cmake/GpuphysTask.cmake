@@ -195,7 +195,6 @@ ${calls}    std::sort(all.begin(), all.end(), [](const Task& a, const Task& b) {
   set(test_file ${PROJECT_BINARY_DIR}/task_tests.cmake)
   set(arguments --output ${test_file} --driver $<TARGET_FILE:gpuphys>)
   if(GPUPHYS_HAS_CUDA)
-    list(APPEND arguments --device-modules)
     find_program(GPUPHYS_COMPUTE_SANITIZER compute-sanitizer HINTS ${CUDAToolkit_BIN_DIR})
     if(GPUPHYS_COMPUTE_SANITIZER)
       list(APPEND arguments --sanitizer ${GPUPHYS_COMPUTE_SANITIZER})

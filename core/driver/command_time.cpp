@@ -254,6 +254,7 @@ void time_once(Context& ctx, const TimeOptions& o, const Task& task, const Modul
 
 void run(Context& ctx, TimeOptions& o) {
   const Task& task = find_task(o.task);
+  const GpuIdentity gpu = gpu_identity();  // skips without a GPU, also what this build left out
   const std::string path = ctx.module_path(task.name, o.module);
   std::string label = o.label;
   if (label.empty()) label = path == o.module ? std::filesystem::path(path).stem().string() : o.module;
@@ -265,7 +266,6 @@ void run(Context& ctx, TimeOptions& o) {
   if (o.sweep && !task.knob)
     throw Error(ExitCode::usage, fmt::format("task '{}' has no accuracy knob to sweep", task.name));
 
-  const GpuIdentity gpu = gpu_identity();
   const Ceilings ceilings = measure_ceilings();
   const std::optional<TaskRecord> record = load_record(ctx.records_root(), gpu.slug, task.name);
   const Overrides fixed = parse_scalars(o.scalars);
