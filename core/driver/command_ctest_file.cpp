@@ -72,11 +72,12 @@ class Writer {
     }
     for (const InputSet& set : task_.sets) {
       if (set.size != Size::paper) continue;
-      add("time", set.name, {"time", "--task", task_.name, "--module", "reference", "--set", set.name},
+      add("time", set.name,
+          {"time", "--task", task_.name, "--module", "reference", "--set", set.name, "--skip-unbaselined"},
           {"time", "gpu", "paper"}, 300, true);
     }
-    add("time", "fmad.public", {"time", "--task", task_.name, "--module", "fmad"}, {"time", "gpu", "paper"},
-        300, true);
+    add("time", "fmad.public", {"time", "--task", task_.name, "--module", "fmad", "--skip-unbaselined"},
+        {"time", "gpu", "paper"}, 300, true);
     if (task_.knob) {
       add("time", "sweep", {"time", "--task", task_.name, "--module", "reference", "--sweep"},
           {"time", "gpu", "paper"}, 600, true);

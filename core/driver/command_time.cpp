@@ -29,7 +29,7 @@ namespace {
 struct TimeOptions {
   std::string task, module, label, set = "public", warmup_set, against;
   std::vector<std::string> scalars;
-  bool sweep = false, no_gate = false;
+  bool sweep = false, no_gate = false, skip_unbaselined = false;
   std::string confirm_to;  // hidden: this is the second process, its result goes to this file
 };
 
@@ -196,13 +196,14 @@ TimingResult second_opinion(const Context& ctx, const TimeOptions& o, const Modu
   return r;
 }
 
-ExitCode exit_code_of(GateState state, bool no_gate) {
+ExitCode exit_code_of(GateState state, bool no_gate, bool skip_unbaselined) {
   switch (state) {
     case GateState::ok:
       return ExitCode::ok;
     case GateState::slow:
       return no_gate ? ExitCode::ok : ExitCode::slow;
     case GateState::unbaselined:
+      if (skip_unbaselined) return ExitCode::skipped;
       return no_gate ? ExitCode::ok : ExitCode::unbaselined;
     case GateState::below_floor:
       return ExitCode::below_floor;
@@ -249,7 +250,7 @@ void time_once(Context& ctx, const TimeOptions& o, const Task& task, const Modul
                to_string(both));
   }
   write_result(ctx.results_root, result);
-  ctx.exit_code = std::max(ctx.exit_code, exit_code_of(answer.state, o.no_gate));
+  ctx.exit_code = std::max(ctx.exit_code, exit_code_of(answer.state, o.no_gate, o.skip_unbaselined));
 }
 
 void run(Context& ctx, TimeOptions& o) {
@@ -305,6 +306,9 @@ void add_time_command(CLI::App& app, Context& ctx) {
   command->add_option("--scalar", options->scalars,
                       "Override an accuracy scalar: NAME=NUMBER (repeatable); outputs need not pass then");
   command->add_flag("--sweep", options->sweep, "Time every value of the task's accuracy knob, without gate");
+  command->add_flag(
+      "--skip-unbaselined", options->skip_unbaselined,
+      "End with 77 instead of 11 where there is no record to compare with (CTest: skipped, not passed)");
   command->add_flag("--no-gate", options->no_gate,
                     "Measure for a first or a new record: SLOW and UNBASELINED are said but do not fail");
   command->add_option("--confirm-to", options->confirm_to)->group("");
