@@ -77,7 +77,7 @@ function(gpuphys_add_task task family)
   set(GPUPHYS_TASKS ${GPUPHYS_TASKS} ${task} CACHE INTERNAL "")
   target_sources(gpuphys_core PRIVATE ${case})
 
-  # Sources that the tasks of a family share.
+  # gpuphys_finish() adds what the tasks of these families share.
   get_property(families GLOBAL PROPERTY GPUPHYS_FAMILIES)
   if(NOT family IN_LIST families)
     set_property(GLOBAL APPEND PROPERTY GPUPHYS_FAMILIES ${family})

@@ -56,6 +56,24 @@ ModuleIdentity identify(const std::string& label, const std::string& task, const
   return id;
 }
 
+bool is_module_path(const std::string& module) {
+  return module.find('/') != std::string::npos || module.ends_with(".so");
+}
+
+ModuleIdentity identify_module(const std::string& module, const std::string& label, const std::string& task,
+                               const std::string& mutants_root) {
+  if (!is_module_path(module)) return identify(label.empty() ? module : label, task, mutants_root);
+  const std::string name = label.empty() ? std::filesystem::path(module).stem().string() : label;
+  const bool suite_mutant = starts_with(name, "mutant.") || starts_with(name, "serial_mutant.");
+  if (suite_mutant || identify(name, task, mutants_root).role != "user") {
+    throw Error(
+        ExitCode::usage,
+        fmt::format("'{}' would be kept as '{}', which is a module of the suite: choose another --label",
+                    module, name));
+  }
+  return identify(name, task, mutants_root);
+}
+
 std::vector<std::string> planted_faults(const std::string& mutants_root, const std::string& task) {
   std::vector<std::string> faults;
   const std::filesystem::path folder = std::filesystem::path(mutants_root) / task;

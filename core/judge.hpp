@@ -23,6 +23,15 @@ struct ModuleIdentity {
 /// <mutants_root>/<task>/<fault>.patch. Throws Error(bad_input) for a patch without its header.
 ModuleIdentity identify(const std::string& label, const std::string& task, const std::string& mutants_root);
 
+/// Whether `module` on the command line names a file rather than a module built with the suite.
+bool is_module_path(const std::string& module);
+
+/// The identity of `module` as given on the command line, under `label` if that is not empty. A user's file
+/// cannot go by the label of one of the suite's own modules: its results would be taken for theirs
+/// (Error(usage)).
+ModuleIdentity identify_module(const std::string& module, const std::string& label, const std::string& task,
+                               const std::string& mutants_root);
+
 /// The planted faults of a task: the stems of mutants/<task>/*.patch, sorted.
 std::vector<std::string> planted_faults(const std::string& mutants_root, const std::string& task);
 

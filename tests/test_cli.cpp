@@ -35,7 +35,7 @@ class Cli : public ::testing::Test {
 
   Outcome call(const std::string& arguments) const {
     const std::string command = "cd '" + folder_.string() +
-                                "' && GPUPHYS_REQUIRE_GPU= ; unset GPUPHYS_REQUIRE_GPU; '" GPUPHYS_DRIVER
+                                "' && unset GPUPHYS_REQUIRE_GPU; '" GPUPHYS_DRIVER
                                 "' --results results --truth truth " +
                                 arguments + " 2>&1";
     const std::unique_ptr<FILE, int (*)(FILE*)> pipe(
@@ -103,8 +103,26 @@ TEST_F(Cli, AFileThatIsNoModuleIsRefused) {
 
 TEST_F(Cli, AModuleOfAnotherTaskIsRefused) {
   expect_error("run --task advect_rk2 --module " GPUPHYS_MODULES
-               "/poisson_neumann/baseline_f32.so --set public_smoke",
+               "/poisson_neumann/baseline_f32.so --label mine --set public_smoke",
                ExitCode::module_fault, {"poisson_neumann", "advect_rk2"});
+}
+
+TEST_F(Cli, AUsersFileCannotPassForAModuleOfTheSuite) {
+  const std::string run =
+      "run --task advect_rk2 --set public_smoke --module " GPUPHYS_MODULES "/advect_rk2/baseline_f32.so";
+  expect_error(run, ExitCode::usage, {"'baseline_f32'", "--label"});
+  expect_error(run + " --label reference", ExitCode::usage, {"'reference'", "--label"});
+  expect_error(run + " --label mutant.mine", ExitCode::usage, {"'mutant.mine'", "--label"});
+  EXPECT_FALSE(fs::exists(folder_ / "results/advect_rk2"));
+  EXPECT_EQ(call(run + " --label mine").code, 0);
+}
+
+TEST_F(Cli, ASweepFailsWhereThePrescribedSettingDoes) {
+  // Loose tolerances may miss the check; the mutant misses it at the prescribed one too.
+  const std::string sweep = "run --task poisson_neumann --set public_smoke --sweep --module ";
+  EXPECT_EQ(call(sweep + "baseline_f32").code, 0);
+  EXPECT_EQ(call(sweep + "serial_mutant.stop_at_ten_times_tol").code,
+            static_cast<int>(ExitCode::check_failed));
 }
 
 TEST_F(Cli, ACorrectModulePassesAndItsResultIsKept) {

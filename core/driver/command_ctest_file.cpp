@@ -11,7 +11,6 @@
 #include "core/driver/context.hpp"
 #include "core/driver/inventory.hpp"
 #include "core/files.hpp"
-#include "core/judge.hpp"
 #include "core/task.hpp"
 
 namespace gpuphys {

@@ -165,11 +165,16 @@ TimingResult second_opinion(const Context& ctx, const TimeOptions& o, const Modu
     throw Error(ExitCode::internal, fmt::format("cannot create a folder in {}", folder));
   const std::string file = folder + "/second.json";
   std::vector<std::string> words{
-      "gpuphys",        "--results",  ctx.results_root, "--modules",
-      ctx.modules_root, "--truth",    ctx.truth_root,   "time",
-      "--task",         o.task,       "--module",       fs::absolute(path).string(),
-      "--label",        id.label,     "--set",          o.set,
-      "--warmup-set",   o.warmup_set, "--against",      o.against,
+      "gpuphys",        "--results",
+      ctx.results_root, "--modules",
+      ctx.modules_root, "--truth",
+      ctx.truth_root,   "time",
+      "--task",         o.task,
+      "--module",       is_module_path(o.module) ? fs::absolute(path).string() : o.module,
+      "--label",        id.label,
+      "--set",          o.set,
+      "--warmup-set",   o.warmup_set,
+      "--against",      o.against,
       "--confirm-to",   file};
   for (const auto& [name, value] : overrides) {
     words.push_back("--scalar");
@@ -257,9 +262,7 @@ void run(Context& ctx, TimeOptions& o) {
   const Task& task = find_task(o.task);
   const GpuIdentity gpu = gpu_identity();  // skips without a GPU, also what this build left out
   const std::string path = ctx.module_path(task.name, o.module);
-  std::string label = o.label;
-  if (label.empty()) label = path == o.module ? std::filesystem::path(path).stem().string() : o.module;
-  const ModuleIdentity id = identify(label, task.name, ctx.source_root + "/mutants");
+  const ModuleIdentity id = identify_module(o.module, o.label, task.name, ctx.source_root + "/mutants");
   if (o.against.empty()) o.against = id.label;
   task.set(o.set);
   if (o.warmup_set.empty()) o.warmup_set = other_set(task, o.set);

@@ -8,12 +8,13 @@
 #include <new>
 
 #include "core/driver/context.hpp"
+#include "core/judge.hpp"
 #include "core/version.hpp"
 
 namespace gpuphys {
 
 std::string Context::module_path(const std::string& task, const std::string& name) const {
-  if (name.find('/') != std::string::npos || name.ends_with(".so")) {
+  if (is_module_path(name)) {
     if (!std::filesystem::exists(name))
       throw Error(ExitCode::unknown_name, fmt::format("module '{}' does not exist", name));
     return name;
