@@ -71,6 +71,13 @@ struct AccuracyKnob {
   std::vector<double> values;
 };
 
+/// A shape symbol along which the order of items carries no meaning (particles, springs, edges). The suite
+/// judges the reference on permuted inputs too; its outputs are put back in order first.
+struct Unordered {
+  std::string symbol;                     ///< "n": permutes every array whose first extent is n
+  std::vector<std::string> index_arrays;  ///< int32 inputs whose entries count along `symbol`; renumbered
+};
+
 struct Task {
   std::string name, family, title;
   int paper_number = 0;
@@ -78,6 +85,7 @@ struct Task {
   std::vector<InputSet> sets;
   std::vector<Check> checks;
   std::optional<AccuracyKnob> knob;
+  std::vector<Unordered> unordered;  ///< empty where the order of items means something
   double target_floor_multiple = 0;  ///< the speed target: time over compulsory-traffic time on the H200
 
   const InputSet& set(const std::string& name) const;  ///< throws Error(unknown_name) listing what exists

@@ -17,6 +17,7 @@
 #include <vector>
 
 #include "core/module.hpp"
+#include "references/common/device_buffer.cuh"
 #include "references/global_solve/multigrid_krylov.cuh"
 #include "references/global_solve/multigrid_tail.cuh"
 
@@ -34,42 +35,6 @@ struct SolverPolicy {
   static constexpr int refresh_steps = 40;     // after these the recurrence is replaced by the true residual
   static constexpr int down_rows = 16;         // tile of the pass with a residual
   static constexpr int up_rows = 24;           // tile of the pass with a correction
-};
-
-template <class T>
-class DeviceBuffer {
- public:
-  DeviceBuffer() = default;
-  explicit DeviceBuffer(std::size_t count) {
-    GPUPHYS_CUDA(cudaMalloc(&data_, sizeof(T) * (count ? count : 1)));
-  }
-  DeviceBuffer(DeviceBuffer&& o) noexcept : data_(o.data_) { o.data_ = nullptr; }
-  DeviceBuffer& operator=(DeviceBuffer&& o) noexcept {
-    std::swap(data_, o.data_);
-    return *this;
-  }
-  ~DeviceBuffer() { cudaFree(data_); }
-  T* get() const { return data_; }
-
- private:
-  T* data_ = nullptr;
-};
-
-template <class T>
-class PinnedBuffer {
- public:
-  PinnedBuffer() = default;
-  explicit PinnedBuffer(std::size_t count) { GPUPHYS_CUDA(cudaMallocHost(&data_, sizeof(T) * count)); }
-  PinnedBuffer(PinnedBuffer&& o) noexcept : data_(o.data_) { o.data_ = nullptr; }
-  PinnedBuffer& operator=(PinnedBuffer&& o) noexcept {
-    std::swap(data_, o.data_);
-    return *this;
-  }
-  ~PinnedBuffer() { cudaFreeHost(data_); }
-  T* get() const { return data_; }
-
- private:
-  T* data_ = nullptr;
 };
 
 /// Outcome of a solve, for tests and reports.
