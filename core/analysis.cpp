@@ -289,6 +289,9 @@ std::vector<Issue> missing_results(const ResultSet& results, const Expectation& 
       require("gpu", "reference", set);
       require("gpu", "fmad", set);
     }
+    for (const auto& [label, sets] : expected.gpu_ensemble) {
+      for (const std::string& set : sets) require("gpu", label, set);
+    }
     for (const std::string& fault : expected.mutants) {
       for (const std::string& set : expected.gpu_mutant_sets) require("gpu", "mutant." + fault, set);
     }

@@ -84,8 +84,10 @@ struct Expectation {
   std::vector<std::string> gpu_sets;         ///< sets that the reference and its fmad variant must have run
   std::vector<std::string> cpu_mutant_sets;  ///< sets on which every serial mutant must have run
   std::vector<std::string> gpu_mutant_sets;  ///< sets on which every mutant of the reference must have run
-  std::vector<std::string> mutants;          ///< faults with a hunk for the reference
-  std::vector<std::string> serial_mutants;   ///< faults with a hunk for the serial baseline
+  /// What else the ensemble of correct variants must hold in the GPU lane: label -> sets.
+  std::map<std::string, std::vector<std::string>> gpu_ensemble;
+  std::vector<std::string> mutants;         ///< faults with a hunk for the reference
+  std::vector<std::string> serial_mutants;  ///< faults with a hunk for the serial baseline
   /// Input set -> check -> tolerance, as the case file states them now.
   std::map<std::string, std::map<std::string, double>> tolerances;
   double target_multiple = 0;

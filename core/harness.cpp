@@ -9,6 +9,8 @@
 #include <cstring>
 #include <filesystem>
 
+#include "core/guarded_call.hpp"
+
 namespace gpuphys {
 namespace {
 
@@ -20,7 +22,6 @@ constexpr unsigned char kPoisonByte = 0xA5;
 
 constexpr std::size_t kGuardBytes = 64 * 1024;
 constexpr unsigned char kGuardByte = 0xC3;
-constexpr std::size_t kMessageSize = 512;
 
 // A host buffer between two guard bands.
 class GuardedBuffer {
@@ -59,19 +60,6 @@ void fill(HostArray& a, T pattern) {
   for (std::int64_t i = 0; i < a.size(); ++i) {
     std::memcpy(static_cast<char*>(a.data()) + static_cast<std::size_t>(i) * sizeof(T), &pattern, sizeof(T));
   }
-}
-
-// Calls into a module; an exception that crosses its C interface counts as a returned error.
-template <class Call>
-int guarded_call(char* message, Call&& call) {
-  try {
-    return call();
-  } catch (const std::exception& e) {
-    std::snprintf(message, kMessageSize, "threw across the C interface: %s", e.what());
-  } catch (...) {
-    std::snprintf(message, kMessageSize, "threw across the C interface");
-  }
-  return 1;
 }
 
 class HostBackend final : public Backend {

@@ -48,6 +48,10 @@ ModuleIdentity identify(const std::string& label, const std::string& task, const
   }
   if (label == "reference" || label == "fmad") {
     id.role = label;
+  } else if (label == "blocks" || starts_with(label, "reference.")) {
+    // The reference with other block sizes, run again, or on permuted inputs: correct, and rounding
+    // differently.
+    id.role = "reference";
   } else if (starts_with(label, "baseline_")) {
     id.role = "baseline";
   } else {

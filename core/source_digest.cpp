@@ -346,6 +346,7 @@ std::vector<std::string> record_roots(const std::string& source_root, const std:
       // What runs modules and judges their outputs; its includes bring comparators, arrays and tasks along.
       "core/harness.hpp",
       "core/comparators.hpp",
+      "core/judge.hpp",
       "core/timing.hpp",
   };
   const auto add_folder = [&](const std::string& folder, const std::set<std::string>& extensions) {

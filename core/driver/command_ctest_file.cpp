@@ -49,7 +49,7 @@ class Writer {
       : ctx_(ctx), o_(options), task_(task) {}
 
   std::vector<TestCase> cases() {
-    const Expectation expected = expectation_of(task_, ctx_.source_root + "/mutants");
+    const Expectation expected = expectation_of(task_, ctx_.source_root);
     for (const char* label : {"baseline_f32", "baseline_f32_fma"}) {
       for (const InputSet& set : task_.sets) {
         if (set.size == Size::smoke) judged(label, "cpu", set);
@@ -64,6 +64,7 @@ class Writer {
     for (const char* label : {"reference", "fmad"}) {
       for (const InputSet& set : task_.sets) judged(label, "gpu", set);
     }
+    ensemble(expected);
     for (const std::string& fault : expected.mutants) mutant("mutant", fault, "gpu", Size::paper);
     if (task_.knob) {
       add("sweep", "", {"run", "--task", task_.name, "--module", "reference", "--set", "public", "--sweep"},
@@ -123,6 +124,31 @@ class Writer {
     if (set.kind == SetKind::hard) labels.push_back("hard");
     labels.push_back("validation");
     add(label, set.name, {"run", "--task", task_.name, "--module", label, "--set", set.name}, labels, 300);
+  }
+
+  // Correct runs that round differently: another order of the items, other blocks, the same again.
+  void ensemble(const Expectation& expected) {
+    for (const auto& [label, sets] : expected.gpu_ensemble) {
+      for (const std::string& set : sets) {
+        const bool permuted = label.ends_with(".permuted");
+        const std::string module = label.substr(0, label.find('.'));
+        std::vector<std::string> arguments{"run",   "--task", task_.name, "--module", module,
+                                           "--set", set,      "--label",  label};
+        if (permuted) {
+          arguments.push_back("--permute");
+          arguments.push_back("1");
+        }
+        add(label, set, arguments, {"ensemble", "gpu", "paper", "validation"}, 300);
+      }
+    }
+    if (task_.unordered.empty()) return;
+    for (const InputSet& set : task_.sets) {
+      if (set.size != Size::smoke || set.kind == SetKind::hard) continue;
+      add("baseline_f32.permuted", set.name,
+          {"run", "--task", task_.name, "--module", "baseline_f32", "--set", set.name, "--label",
+           "baseline_f32.permuted", "--permute", "1"},
+          {"ensemble", "cpu", "smoke", "validation"}, 120);
+    }
   }
 
   // One test a mutant: it must be caught on the public and on the hidden inputs of the size.

@@ -72,8 +72,8 @@ void add_mutants_command(CLI::App& app, Context& ctx) {
         cells.push_back(row.expected_check + (row.expected_check_saw_it ? "" : " (did not see it)"));
         table.add(cells);
       }
-      std::vector<Issue> missing = missing_results(
-          results, expectation_of(*task, ctx.source_root + "/mutants"), {.cpu = true, .gpu = true});
+      std::vector<Issue> missing =
+          missing_results(results, expectation_of(*task, ctx.source_root), {.cpu = true, .gpu = true});
       std::erase_if(missing, [](const Issue& i) { return i.label.find("mutant.") == std::string::npos; });
       for (const std::string& line : issue_lines(missing)) trouble.push_back(line);
       if (!o->csv)

@@ -17,6 +17,7 @@
 #include "core/harness.hpp"
 #include "core/host_info.hpp"
 #include "core/judge.hpp"
+#include "core/permutation.hpp"
 #include "core/progress.hpp"
 #include "core/truth_cache.hpp"
 
@@ -29,6 +30,7 @@ struct RunOptions {
   std::vector<std::string> scalars;
   double timeout_s = 600;
   bool sweep = false, under_tool = false;
+  std::uint64_t permute = 0;  // seed of the order of the items; 0 leaves them alone
 };
 
 std::string number_text(double v) {
@@ -103,7 +105,7 @@ bool as_expected(const RunResult& r, const std::string& expect) {
 // Modules of the suite that run on the device, and on the host, by their labels.
 bool is_device_label(const std::string& module) {
   return !is_module_path(module) &&
-         (module == "reference" || module == "fmad" || module.starts_with("mutant."));
+         (module == "reference" || module == "fmad" || module == "blocks" || module.starts_with("mutant."));
 }
 bool is_host_label(const std::string& module) {
   return !is_module_path(module) && (module.starts_with("baseline_") || module.starts_with("serial_mutant."));
@@ -145,7 +147,14 @@ int work(const Context& ctx, const RunOptions& o, const Task& task, const Module
       }
       RunResult result = blank_result(task, set, id, module.on_device(), v);
       result.device = module.on_device() ? device_name() : host_name();
-      CallReport report = backend->call(module, task.contract, problem);
+      CallReport report;
+      if (o.permute == 0) {
+        report = backend->call(module, task.contract, problem);
+      } else {
+        const PermutedProblem other = permuted(task, problem, o.permute);
+        report = backend->call(module, task.contract, other.problem);
+        if (!report.outputs.empty()) report.outputs = restore_order(task, other.permutation, report.outputs);
+      }
       if (o.under_tool)
         std::erase_if(report.faults,
                       [](const FaultReport& f) { return f.fault == Fault::asynchronous_return; });
@@ -267,6 +276,9 @@ void add_run_command(CLI::App& app, Context& ctx) {
   command->add_flag("--sweep", options->sweep, "Run at every value of the task's accuracy knob");
   command->add_flag("--under-tool", options->under_tool,
                     "A tool such as compute-sanitizer slows the device: ignore what is judged by its times");
+  command->add_option(
+      "--permute", options->permute,
+      "Put the items whose order carries no meaning in the order of this seed first (0: leave them)");
   command->add_option("--timeout", options->timeout_s, "Seconds after which the module is stopped")
       ->capture_default_str();
   command->footer(
@@ -278,6 +290,7 @@ void add_run_command(CLI::App& app, Context& ctx) {
       "  gpuphys run --task advect_rk2 --module reference --set public --set hard_cfl60\n"
       "  gpuphys run --task advect_rk2 --module build/mine.so --label mine\n"
       "  gpuphys run --task poisson_neumann --module reference --sweep --set public\n"
+      "  gpuphys run --task contact_dem --module reference --permute 1 --label reference.permuted\n"
       "  gpuphys run --task advect_rk2 --module mutant.forward_half_step --expect killed\n");
   command->callback([options, &ctx] { run(ctx, *options); });
 }

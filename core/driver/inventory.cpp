@@ -30,7 +30,13 @@ bool is_recorded(const RunResult& r) {
 
 }  // namespace
 
-Expectation expectation_of(const Task& task, const std::string& mutants_root) {
+bool offers_other_blocks(const Task& task, const std::string& source_root) {
+  return read_file(fmt::format("{}/references/{}/{}.cu", source_root, task.family, task.name))
+             .find("GPUPHYS_OTHER_BLOCKS") != std::string::npos;
+}
+
+Expectation expectation_of(const Task& task, const std::string& source_root) {
+  const std::string mutants_root = source_root + "/mutants";
   Expectation e;
   e.task = task.name;
   e.family = task.family;
@@ -41,6 +47,14 @@ Expectation expectation_of(const Task& task, const std::string& mutants_root) {
     if (!smoke || hard) e.gpu_sets.push_back(set.name);
     if (!hard) (smoke ? e.cpu_mutant_sets : e.gpu_mutant_sets).push_back(set.name);
     for (const Check& check : checks_of(task, set)) e.tolerances[set.name][check.name] = check.tolerance;
+  }
+  for (const InputSet& set : task.sets) {
+    if (set.size != Size::paper) continue;
+    if (!task.unordered.empty() && set.kind == SetKind::open) {
+      e.gpu_ensemble["reference.again"].push_back(set.name);
+      e.gpu_ensemble["reference.permuted"].push_back(set.name);
+    }
+    if (offers_other_blocks(task, source_root)) e.gpu_ensemble["blocks"].push_back(set.name);
   }
   for (const std::string& fault : planted_faults(mutants_root, task.name)) {
     const std::string patch = read_file(fmt::format("{}/{}/{}.patch", mutants_root, task.name, fault));
@@ -73,7 +87,7 @@ std::vector<Issue> record_issues(const TaskRecord& record, const Task& task, con
   results.timings = record.timing;
   for (TimingResult& t : results.timings) t.origin = "record";
   const std::vector<Issue> rest =
-      issues(results, expectation_of(task, source_root + "/mutants"), {.cpu = false, .gpu = true});
+      issues(results, expectation_of(task, source_root), {.cpu = false, .gpu = true});
   found.insert(found.end(), rest.begin(), rest.end());
   return found;
 }
@@ -91,7 +105,7 @@ std::string record_slug(const ResultSet& results, const std::string& task) {
 
 Verdict full_verdict(const ResultSet& results, const Task& task, Lanes lanes,
                      const std::string& source_root) {
-  Verdict v = verdict(results, expectation_of(task, source_root + "/mutants"), lanes);
+  Verdict v = verdict(results, expectation_of(task, source_root), lanes);
   const std::string slug = record_slug(results, task.name);
   if (!lanes.gpu || slug.empty()) return v;
   const std::optional<TaskRecord> record = load_record(source_root + "/ci/records", slug, task.name);

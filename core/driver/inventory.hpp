@@ -11,9 +11,12 @@
 
 namespace gpuphys {
 
+/// Whether the reference of a task can be built with other blocks (it mentions GPUPHYS_OTHER_BLOCKS).
+bool offers_other_blocks(const Task&, const std::string& source_root);
+
 /// Sets, tolerances and planted faults of a task as its case file and mutants folder state them now. A patch
 /// that does not touch the reference (or the serial baseline) plants no fault there.
-Expectation expectation_of(const Task&, const std::string& mutants_root);
+Expectation expectation_of(const Task&, const std::string& source_root);
 
 /// The tasks called `names`, all of them when empty. Throws Error(unknown_name).
 std::vector<const Task*> select_tasks(const std::vector<std::string>& names);
