@@ -65,9 +65,9 @@ Check conserved(const Step& step, std::string name, std::string quantity,
           CheckKind::invariant,
           std::move(quantity),
           "largest change over a cell / sum of its |populations|",
-          1e-6,
-          "collision conserves it; float32 sums of some twenty populations and relaxation factors of up to "
-          "two leave about 2e-7",
+          2e-6,
+          "collision conserves it; in float32 the sum of a cell's populations is good to some ten units of "
+          "2^-24 and enters with the relaxation factor, below two",
           false,
           [=](const Judged& j) {
             const HostArray& in = find(j.problem.inputs, "f", "inputs");
@@ -283,9 +283,9 @@ Check unchanged() {
           CheckKind::invariant,
           "f",
           "largest change / population",
-          1e-6,
-          "a uniform equilibrium is a fixed point; its float32 moments are good to about 1e-7 and the "
-          "relaxation factors are below two",
+          2e-6,
+          "a uniform equilibrium is a fixed point; its float32 moments are good to some ten units of 2^-24 "
+          "and enter with relaxation factors below two",
           false,
           [](const Judged& j) {
             const HostArray& in = find(j.problem.inputs, "f", "inputs");

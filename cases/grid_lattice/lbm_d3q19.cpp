@@ -17,11 +17,13 @@ Task make_task() {
   const lattice::Step step{19, true, true, task.contract};
   task.sets = lattice::flow_sets(step, {288, 256, 224}, 0.25, 0.21);
   for (InputSet& set : lattice::collision_hard_cases(step)) task.sets.push_back(std::move(set));
-  task.checks = {relative_l2_check("f", 5e-6, "the paper's table of inputs and checks"),
-                 local_error_check(
-                     "f", 5e-6,
-                     "float32 rounding of the largest population, four times the rms, is 2.4e-7 of the rms "
-                     "a unit: room for twenty units, and far below a population from a wrong cell (1e-2)")};
+  task.checks = {
+      relative_l2_check("f", 5e-6, "the paper's table of inputs and checks"),
+      local_error_check(
+          "f", 1e-5,
+          "the rest population is four times the rms, so one float32 unit of it is 3.5e-7 of the rms, and "
+          "the density enters it with the rounding of a sum of nineteen: room for thirty units, and a "
+          "thousand times below a population from a wrong cell")};
   task.target_floor_multiple = 1.08;
   return task;
 }
