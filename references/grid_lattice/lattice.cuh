@@ -35,9 +35,11 @@ struct Lattice {
 
   /// Component `axis` of velocity q.
   __host__ __device__ static constexpr int c(int q, int axis) {
-    constexpr signed char first[13][3] = {{1, 0, 0},  {0, 1, 0},  {0, 0, 1}, {1, 1, 0},  {1, -1, 0},
-                                          {1, 0, 1},  {1, 0, -1}, {0, 1, 1}, {0, 1, -1}, {1, 1, 1},
-                                          {1, 1, -1}, {1, -1, 1}, {-1, 1, 1}};
+    // clang-format off
+    constexpr signed char first[13][3] = {{1, 0, 0}, {0, 1, 0}, {0, 0, 1},
+                                          {1, 1, 0}, {1, -1, 0}, {1, 0, 1}, {1, 0, -1}, {0, 1, 1}, {0, 1, -1},
+                                          {1, 1, 1}, {1, 1, -1}, {1, -1, 1}, {-1, 1, 1}};
+    // clang-format on
     return q == 0 ? 0 : q % 2 == 1 ? first[q / 2][axis] : -first[q / 2 - 1][axis];
   }
 

@@ -70,9 +70,10 @@ inline void time_loop_lbm_d3q19(const std::string& label) {
     ASSERT_NEAR(before.pattern, 1, 1e-6);
     for (int t = 0; t < steps; ++t) feed_back(run_module(task, label, p)[0], p);
     const LatticeTotals after = lattice_totals(p.inputs[0], flow);
-    // Conserved up to 100 roundings of the populations, which do not all have one sign.
-    EXPECT_NEAR(after.mass / before.mass, 1, 5e-6);
-    for (std::size_t d = 0; d < 3; ++d) EXPECT_NEAR(after.momentum[d] / before.mass, 0, 5e-6) << "axis " << d;
+    // Float32 weights sum to 1 within 2e-8, which a step multiplies by the relaxation rate; the sums of a
+    // cell add their rounding.
+    EXPECT_NEAR(after.mass / before.mass, 1, 1e-7 * steps);
+    for (std::size_t d = 0; d < 3; ++d) EXPECT_NEAR(after.momentum[d] / before.mass, 0, 1e-6) << "axis " << d;
     // |u| falls as exp(-nu k^2 t); the lattice's own error of second order in k is a few percent of the rate.
     const double k = 2 * std::numbers::pi / n, nu = (lattice::kTauPlus - 0.5) / 3;
     const double rate = -std::log(after.pattern) / steps;
@@ -85,9 +86,9 @@ inline void time_loop_lbm_d3q19(const std::string& label) {
     const LatticeTotals before = lattice_totals(p.inputs[0], flow);
     for (int t = 0; t < 200; ++t) feed_back(run_module(task, label, p)[0], p);
     const LatticeTotals after = lattice_totals(p.inputs[0], flow);
-    EXPECT_NEAR(after.mass / before.mass, 1, 1e-5);
+    EXPECT_NEAR(after.mass / before.mass, 1, 1e-7 * 200);
     for (std::size_t d = 0; d < 3; ++d)
-      EXPECT_NEAR((after.momentum[d] - before.momentum[d]) / before.mass, 0, 1e-5) << "axis " << d;
+      EXPECT_NEAR((after.momentum[d] - before.momentum[d]) / before.mass, 0, 1e-6) << "axis " << d;
     // No driving: kinetic energy may only be exchanged with the sound waves that the initial density sets
     // off, whose energy c_s^2 (drho)^2 / 2 is of the same order.
     EXPECT_LT(after.energy, 2 * before.energy);
