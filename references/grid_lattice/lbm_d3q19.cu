@@ -7,8 +7,8 @@
 // issued before the first use, put 17 KB a block in flight; nothing is read twice.
 //
 // What bounds it: DRAM, 152 bytes a cell (19 populations read, 19 written), 2510 MB at paper size: 0.591 ms
-// at the copy rate of an H200. About 470 instructions a cell fill a third of the issue slots at that speed. The
-// trick that pays is in lattice.cuh: the ten directions that move along z are shifted inside the block,
+// at the copy rate of an H200. About 470 instructions a cell fill a third of the issue slots at that speed.
+// The trick that pays is in lattice.cuh: the ten directions that move along z are shifted inside the block,
 // through shared memory, so that every store is whole aligned lines.
 #include "cases/grid_lattice/lbm_d3q19.hpp"
 #include "references/grid_lattice/lattice.cuh"
