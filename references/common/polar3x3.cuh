@@ -60,8 +60,8 @@ __device__ __forceinline__ bool newton_rotation(const Matrix3& f, Matrix3& x) {
   return false;
 }
 
-/// The quaternion (w, x, y, z) of the nearest rotation, by Jacobi's method. By value and out of line: callers
-/// keep their matrices in registers.
+/// A quaternion (w, x, y, z), not normalised, of the nearest rotation, by Jacobi's method. By value and out
+/// of line: callers keep their matrices in registers.
 __device__ __noinline__ float4 jacobi_rotation(float f00, float f01, float f02, float f10, float f11,
                                                float f12, float f20, float f21, float f22) {
   const float size =
@@ -117,15 +117,16 @@ __device__ __noinline__ float4 jacobi_rotation(float f00, float f01, float f02, 
       q = make_float4(v[0][e], v[1][e], v[2][e], v[3][e]);
     }
   }
-  const float scale = 1.0f / sqrtf(q.x * q.x + q.y * q.y + q.z * q.z + q.w * q.w);
-  return make_float4(scale * q.x, scale * q.y, scale * q.z, scale * q.w);
+  return q;
 }
 
+/// The rotation of a quaternion of any length.
 __device__ __forceinline__ Matrix3 matrix_of(const float4& quaternion) {
   const float w = quaternion.x, x = quaternion.y, y = quaternion.z, z = quaternion.w;
-  return {{{1.0f - 2.0f * (y * y + z * z), 2.0f * (x * y - w * z), 2.0f * (x * z + w * y)},
-           {2.0f * (x * y + w * z), 1.0f - 2.0f * (x * x + z * z), 2.0f * (y * z - w * x)},
-           {2.0f * (x * z - w * y), 2.0f * (y * z + w * x), 1.0f - 2.0f * (x * x + y * y)}}};
+  const float s = 2.0f / (w * w + x * x + y * y + z * z);
+  return {{{1.0f - s * (y * y + z * z), s * (x * y - w * z), s * (x * z + w * y)},
+           {s * (x * y + w * z), 1.0f - s * (x * x + z * z), s * (y * z - w * x)},
+           {s * (x * z - w * y), s * (y * z + w * x), 1.0f - s * (x * x + y * y)}}};
 }
 
 __device__ __forceinline__ Matrix3 nearest_rotation(const Matrix3& f) {
