@@ -262,7 +262,7 @@ __device__ __forceinline__ void flush_nodes(const ScatterShared& shared, const T
     if (i < 0 || i >= grid.nodes[0] || j < 0 || j >= grid.nodes[1] || k < 0 || k >= grid.nodes[2]) continue;
     const int block = grid.tile(tile_x + x / kTileSide, tile_y + y / kTileSide, tile_z + z / kTileSide);
     const int local = (x % kTileSide * kTileSide + y % kTileSide) * kTileSide + z % kTileSide;
-    atomicAdd(accumulators + static_cast<std::size_t>(block) * kTileNodes + local, sum);
+    particle_grid::reduce_add(accumulators + static_cast<std::size_t>(block) * kTileNodes + local, sum);
   }
 }
 

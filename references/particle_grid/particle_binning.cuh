@@ -80,6 +80,15 @@ __device__ __forceinline__ int cell_of(float offset) {
   return min(max(static_cast<int>(offset - 0.5f), 0), kTileSide - 1);
 }
 
+/// *sum += value, 16 bytes in one reduction at L2 (sm_90). Spelled out, because atomicAdd(float4*) asks for
+/// the old value as well.
+__device__ __forceinline__ void reduce_add(float4* sum, const float4& value) {
+  asm volatile("red.global.add.v4.f32 [%0], {%1, %2, %3, %4};"
+               :
+               : "l"(sum), "f"(value.x), "f"(value.y), "f"(value.z), "f"(value.w)
+               : "memory");
+}
+
 /// counts[tile] += 1 for each particle; its rank among the tile's, or -1, goes to ranks. counts must be zero.
 template <int Threads, int PerThread>
 __global__ void __launch_bounds__(Threads)
