@@ -2,3 +2,4 @@
 gpuphys_add_task(advect_rk2 grid_lattice)
 gpuphys_add_task(lbm_d3q19 grid_lattice)
 gpuphys_add_task(poisson_neumann global_solve)
+gpuphys_add_task(p2g_mpm particle_grid)

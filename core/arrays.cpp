@@ -3,6 +3,7 @@
 #include <fmt/format.h>
 #include <fmt/ranges.h>
 
+#include <cmath>
 #include <cstdlib>
 #include <cstring>
 #include <new>
@@ -45,6 +46,18 @@ std::vector<ShapeTerm> parse_shape(const ArraySpec& spec) {
                                                 spec.name, spec.shape, spec.rank));
   }
   return terms;
+}
+
+// Whether some array's extent is stated in terms of `name`.
+bool is_shape_symbol(const Contract& contract, const std::string& name) {
+  for (const std::vector<ArraySpec>* specs : {&contract.inputs, &contract.outputs}) {
+    for (const ArraySpec& spec : *specs) {
+      for (const ShapeTerm& term : parse_shape(spec)) {
+        if (term.symbol == name) return true;
+      }
+    }
+  }
+  return false;
 }
 
 }  // namespace
@@ -170,6 +183,19 @@ std::map<std::string, std::int64_t> resolve_symbols(const Contract& contract, co
                                                     const std::string& where) {
   std::map<std::string, std::int64_t> symbols;
   std::map<std::string, std::string> bound_by;
+  for (const ScalarSpec& spec : contract.scalars) {
+    if (spec.dtype != DType::i32 || !is_shape_symbol(contract, spec.name)) continue;
+    for (const Scalar& s : problem.scalars) {
+      if (s.name != spec.name) continue;
+      if (!(s.value >= 1 && s.value <= 2147483647.0) || s.value != std::floor(s.value)) {
+        throw Error(ExitCode::bad_input,
+                    fmt::format("{}: scalar '{}' is {}, must be a whole number of at least 1", where, s.name,
+                                s.value));
+      }
+      symbols[s.name] = static_cast<std::int64_t>(s.value);
+      bound_by[s.name] = fmt::format("scalar '{}'", s.name);
+    }
+  }
   for (const ArraySpec& spec : contract.inputs) {
     const HostArray& a = find(problem.inputs, spec.name, where);
     if (a.dtype() != spec.dtype) {
@@ -195,7 +221,7 @@ std::map<std::string, std::int64_t> resolve_symbols(const Contract& contract, co
       const std::int64_t value = extent - terms[d].offset;
       const auto [it, fresh] = symbols.emplace(terms[d].symbol, value);
       if (fresh) {
-        bound_by[terms[d].symbol] = spec.name;
+        bound_by[terms[d].symbol] = fmt::format("array '{}'", spec.name);
         if (value < 1) {
           throw Error(ExitCode::bad_input,
                       fmt::format("{}: array '{}' has shape {}: {} would be {}, must be at least 1", where,
@@ -203,9 +229,9 @@ std::map<std::string, std::int64_t> resolve_symbols(const Contract& contract, co
         }
       } else if (it->second != value) {
         throw Error(ExitCode::bad_input,
-                    fmt::format("{}: array '{}' has shape {}, expected ({}) with {} = {} from array '{}'",
-                                where, spec.name, to_string(a.shape()), spec.shape, terms[d].symbol,
-                                it->second, bound_by[terms[d].symbol]));
+                    fmt::format("{}: array '{}' has shape {}, expected ({}) with {} = {} from {}", where,
+                                spec.name, to_string(a.shape()), spec.shape, terms[d].symbol, it->second,
+                                bound_by[terms[d].symbol]));
       }
     }
   }
@@ -235,7 +261,11 @@ Problem make_problem(const Contract& contract, const std::map<std::string, std::
   for (const ArraySpec& spec : contract.inputs) {
     problem.inputs.emplace_back(spec.name, spec.dtype, evaluate_shape(spec, symbols), spec.unit);
   }
-  for (const ScalarSpec& spec : contract.scalars) problem.scalars.push_back({spec.name, spec.dtype, 0.0});
+  for (const ScalarSpec& spec : contract.scalars) {
+    const auto symbol = spec.dtype == DType::i32 ? symbols.find(spec.name) : symbols.end();
+    const double value = symbol == symbols.end() ? 0.0 : static_cast<double>(symbol->second);
+    problem.scalars.push_back({spec.name, spec.dtype, value});
+  }
   return problem;
 }
 

@@ -86,16 +86,18 @@ struct Problem {
   Problem clone() const;
 };
 
-/// Values of the shape symbols ("nx" -> 256) that the inputs imply. Throws Error(bad_input) with one line
-/// naming the array, its shape and what was expected when an array is missing, has the wrong type or rank, or
-/// contradicts another.
+/// Values of the shape symbols ("nx" -> 256) that the inputs imply: int32 scalars named like a symbol define
+/// it (for outputs whose extents no input array has), arrays define the others. Throws Error(bad_input) with
+/// one line naming the array, its shape and what was expected when an array is missing, has the wrong type or
+/// rank, or contradicts another.
 std::map<std::string, std::int64_t> resolve_symbols(const Contract&, const Problem&,
                                                     const std::string& where);
 
 /// The shape that a symbolic shape has for these symbols. Throws Error(internal) for an unknown symbol.
 Shape evaluate_shape(const ArraySpec&, const std::map<std::string, std::int64_t>& symbols);
 
-/// Zeroed inputs and scalars of a contract for given symbol values.
+/// Zeroed inputs and scalars of a contract for given symbol values; int32 scalars named like a symbol get its
+/// value.
 Problem make_problem(const Contract&, const std::map<std::string, std::int64_t>& symbols);
 
 /// Zeroed outputs for these inputs; floating-point outputs are of type `real` (f32, or f64 for truth).

@@ -84,6 +84,46 @@ TEST(Arrays, AnEmptyAxisIsRefused) {
   message_of(ExitCode::bad_input, [] { resolve_symbols(contract(), problem({1, 7}, {0, 7}, {3}), "f.h5"); });
 }
 
+// Particles on a grid: no input array has the extents of the output.
+Contract contract_with_shape_scalar() {
+  Contract c;
+  c.inputs = {{"x", DType::f32, 2, "n,3", "m"}};
+  c.outputs = {{"u", DType::f32, 2, "nx,n+1", "m/s"}};
+  c.scalars = {{"nx", DType::i32, "1"}, {"count", DType::i32, "1"}, {"dx", DType::f32, "m"}};
+  return c;
+}
+
+TEST(Arrays, AnInt32ScalarNamedLikeASymbolDefinesIt) {
+  const Contract c = contract_with_shape_scalar();
+  Problem p = make_problem(c, {{"n", 4}, {"nx", 6}});
+  EXPECT_EQ(p.scalar("nx"), 6);
+  EXPECT_EQ(p.scalar("count"), 0);  // no extent is stated in terms of it
+  EXPECT_EQ(make_outputs(c, p)[0].shape(), (Shape{6, 5}));
+  p.set_scalar("nx", 9);
+  EXPECT_EQ(make_outputs(c, p)[0].shape(), (Shape{9, 5}));
+}
+
+TEST(Arrays, AShapeScalarBelowOneOrNotWholeIsRefused) {
+  const Contract c = contract_with_shape_scalar();
+  Problem p = make_problem(c, {{"n", 4}, {"nx", 6}});
+  for (const double bad : {0.0, -1.0, 2.5, 3e9}) {
+    p.set_scalar("nx", bad);
+    EXPECT_NE(
+        message_of(ExitCode::bad_input, [&] { resolve_symbols(c, p, "f.h5"); }).find("f.h5: scalar 'nx'"),
+        std::string::npos);
+  }
+}
+
+TEST(Arrays, AShapeScalarThatContradictsAnArrayIsNamed) {
+  Contract c = contract_with_shape_scalar();
+  c.inputs.push_back({"w", DType::f32, 1, "nx", "1"});
+  Problem p = make_problem(c, {{"n", 4}, {"nx", 6}});
+  p.set_scalar("nx", 7);
+  const std::string message = message_of(ExitCode::bad_input, [&] { resolve_symbols(c, p, "f.h5"); });
+  for (const char* part : {"'w'", "(6)", "nx = 7", "scalar 'nx'"})
+    EXPECT_NE(message.find(part), std::string::npos) << message;
+}
+
 TEST(Arrays, ScalarsAreRoundedToTheirType) {
   Problem p = make_problem(contract(), {{"nx", 2}, {"ny", 2}});
   p.set_scalar("dt", 0.1);

@@ -1,0 +1,397 @@
+// p2g_mpm: momentum and elastic forces of particles to grid velocities, quadratic B-splines, FP32.
+//
+// For every node: u = (sum_p w m v - dt sum_p V0 tau grad w) / sum_p w m, tau the Kirchhoff stress of fixed
+// corotated elasticity; 0 where no mass arrives.
+//
+// Passes over data in random order:
+//   count      a thread for four particles: position -> tile of 4^3 cells, an atomic returns the rank in the
+//   tile plan       a thread a tile: reserves the tile's slots, cuts lists longer than a block takes, clears
+//   node blocks place      a thread a particle: stress from F, packed record {offset 3, v 3, tau 6} to its
+//   slot in its tile scatter    a block for (a piece of) a tile's list: sorts it by cell in shared memory; a
+//   thread owns one cell and
+//              one of the three node planes along x and sums nine nodes' {mass, momentum} in registers;
+//              columns of cells are added up by shuffles, columns of the tile through shared memory; one
+//              vector reduction for each of the tile's 216 nodes goes out to L2
+//   normalise  a thread for four nodes: divides, writes zeros where no block reached
+//
+// What bounds it (16.86M particles): DRAM in count (269 MB) and place (1.89 GB), 0.5 ms together;
+// instructions in scatter, 125 for each of a particle's three planes, with 0.81 GB read meanwhile; 201 MB
+// written at the end. L2's atomics bound count if its 1.1 MB of counters are hit more slowly than the
+// positions arrive.
+//
+// What pays: a stress is computed once a particle in a pass that waits for memory anyway; summing in
+// registers first leaves about 14 shared stores and 8 loads a cell instead of 864 atomics; factoring the 27
+// weights (x outside, z inside) takes 12 multiply-adds a node for all four sums.
+#include <cuda_pipeline.h>
+
+#include <algorithm>
+
+#include "cases/particle_grid/p2g_mpm.hpp"
+#include "references/common/quadratic_bspline.cuh"
+#include "references/particle_grid/fixed_corotated.cuh"
+#include "references/particle_grid/particle_binning.cuh"
+
+namespace gpuphys::p2g_mpm {
+namespace {
+
+using particle_grid::BinningView;
+using particle_grid::kTileNodes;
+using particle_grid::kTileSide;
+using particle_grid::TileGrid;
+using particle_grid::WorkItem;
+
+struct Policy {
+  static constexpr int count_threads = 256;
+  static constexpr int count_per_thread = 4;  // independent atomics in flight
+  static constexpr int plan_threads = 256;
+#ifdef GPUPHYS_OTHER_BLOCKS
+  static constexpr int place_threads = 128;
+  static constexpr int piece = 320;
+  static constexpr int scatter_blocks_per_sm = 3;
+#else
+  static constexpr int place_threads = 256;
+  static constexpr int piece =
+      576;  // particles of a tile that a block takes: eight a cell, and room for chance
+  static constexpr int scatter_blocks_per_sm = 4;
+#endif
+  static constexpr int normalise_threads = 256;
+};
+
+constexpr int kPlanes = 3;                                 // nodes a particle reaches along an axis
+constexpr int kSide = kTileSide + kPlanes - 1;             // nodes of a tile with its halo
+constexpr int kCells = kTileSide * kTileSide * kTileSide;  // of a tile
+constexpr int kColumns = kTileSide * kTileSide * kPlanes;  // (cell x, cell y, plane)
+constexpr int kScatterThreads = kColumns * kTileSide;      // one for each cell of each column
+constexpr int kRecord = 3;                                 // float4 a particle
+constexpr int kRounds = (Policy::piece + kScatterThreads - 1) / kScatterThreads;
+static_assert(kScatterThreads % 32 == 0, "shuffles need whole warps");
+
+struct Particles {
+  const float* __restrict__ x;
+  const float* __restrict__ v;
+  const float* __restrict__ f;
+  std::int64_t n;
+};
+
+// -dt V0 / (mass_p dx) times 2 mu and lambda: stress as velocity per unit slope.
+struct Moduli {
+  float two_mu, lambda;
+};
+
+// Rows of Width floats, one for each thread of the warp, from memory in whole lines to registers.
+template <int Width>
+__device__ __forceinline__ void load_rows(const float* __restrict__ rows, std::int64_t first, std::int64_t n,
+                                          float (&in_flight)[Width]) {
+  const int lane = static_cast<int>(threadIdx.x) % 32;
+  const std::int64_t begin = Width * first, end = Width * n;
+#pragma unroll
+  for (int s = 0; s < Width; ++s) {
+    const std::int64_t i = begin + s * 32 + lane;
+    in_flight[s] = i < end ? __ldcs(rows + i) : 0.0f;
+  }
+}
+
+template <int Width>
+__device__ __forceinline__ void transpose_rows(float* __restrict__ stage, float (&values)[Width]) {
+  const int lane = static_cast<int>(threadIdx.x) % 32;
+#pragma unroll
+  for (int s = 0; s < Width; ++s) stage[s * 32 + lane] = values[s];
+  __syncwarp();
+#pragma unroll
+  for (int s = 0; s < Width; ++s) values[s] = stage[lane * Width + s];
+}
+
+__global__ void __launch_bounds__(Policy::place_threads)
+    place(const __grid_constant__ TileGrid grid, const __grid_constant__ Particles particles, Moduli moduli,
+          const int* __restrict__ starts, const int* __restrict__ ranks, float4* __restrict__ records) {
+  constexpr int per_warp = 32 * (3 + 3 + 9);
+  __shared__ float staging[Policy::place_threads / 32][per_warp];
+  float* stage = staging[threadIdx.x / 32];
+  const std::int64_t p = static_cast<std::int64_t>(blockIdx.x) * Policy::place_threads + threadIdx.x;
+  const std::int64_t first = p - threadIdx.x % 32;
+  float x[3], v[3], f[9];
+  load_rows(particles.x, first, particles.n, x);
+  load_rows(particles.v, first, particles.n, v);
+  load_rows(particles.f, first, particles.n, f);
+  const int rank = p < particles.n ? ranks[p] : -1;
+  transpose_rows(stage, x);
+  transpose_rows(stage + 32 * 3, v);
+  transpose_rows(stage + 32 * 6, f);
+  if (rank < 0) return;
+
+  const particle_grid::Place at = particle_grid::locate(grid, x[0], x[1], x[2]);
+  const polar::Matrix3 deformation{{{f[0], f[1], f[2]}, {f[3], f[4], f[5]}, {f[6], f[7], f[8]}}};
+  const elasticity::SymmetricMatrix tau =
+      elasticity::fixed_corotated(deformation, moduli.two_mu, moduli.lambda);
+  const std::int64_t slot = starts[at.tile] + rank;
+  float4* record = records + kRecord * slot;
+  record[0] = make_float4(at.offset[0], at.offset[1], at.offset[2], v[0]);
+  record[1] = make_float4(v[1], v[2], tau.xx, tau.yy);
+  record[2] = make_float4(tau.zz, tau.xy, tau.xz, tau.yz);
+}
+
+struct ScatterShared {
+  // The list of the piece; later the sums of the cell columns: nodes 0..3 of each, then nodes 4 and 5.
+  float4 data[std::max(kRecord * Policy::piece, kPlanes* kColumns* kSide)];
+  int counts[kCells];
+  int starts[kCells + 1];
+  unsigned short order[Policy::piece];
+};
+
+// Sums of one thread: nine nodes, {mass, momentum}, mass in units of a particle's.
+struct Sums {
+  float s[kPlanes][kPlanes][4];  // [node along y][node along z]
+};
+
+__device__ __forceinline__ void add_particle(Sums& sums, const bspline::Branch& branch,
+                                             const float (&centre)[3], const float4& a, const float4& b,
+                                             const float4& c) {
+  float wx, slope_x;
+  bspline::evaluate(branch, a.x - centre[0], wx, slope_x);
+  const bspline::Weights y = bspline::quadratic(a.y - centre[1]), z = bspline::quadratic(a.z - centre[2]);
+  const float velocity[3] = {a.w, b.x, b.y};
+  const float tau[3][3] = {{b.z, c.y, c.z}, {c.y, b.w, c.w}, {c.z, c.w, c.x}};
+#pragma unroll
+  for (int oy = 0; oy < kPlanes; ++oy) {
+    const float wxy = wx * y.w[oy];
+#pragma unroll
+    for (int oz = 0; oz < kPlanes; ++oz) sums.s[oy][oz][0] += wxy * z.w[oz];
+  }
+#pragma unroll
+  for (int d = 0; d < 3; ++d) {
+    const float along_x = wx * velocity[d] + slope_x * tau[d][0];
+    const float along_y = wx * tau[d][1], along_z = wx * tau[d][2];
+#pragma unroll
+    for (int oy = 0; oy < kPlanes; ++oy) {
+      const float plain = y.w[oy] * along_x + y.slope[oy] * along_y;
+      const float sloped = y.w[oy] * along_z;
+#pragma unroll
+      for (int oz = 0; oz < kPlanes; ++oz) {
+        sums.s[oy][oz][1 + d] += z.w[oz] * plain;
+        sums.s[oy][oz][1 + d] += z.slope[oz] * sloped;
+      }
+    }
+  }
+}
+
+// Sorts the piece's records by cell: order[starts[cell] ..) lists them.
+__device__ __forceinline__ void sort_by_cell(ScatterShared& shared, int count) {
+  const int thread = static_cast<int>(threadIdx.x);
+  int cell[kRounds], rank[kRounds];
+#pragma unroll
+  for (int s = 0; s < kRounds; ++s) {
+    const int p = thread + s * kScatterThreads;
+    if (p < count) {
+      const float4 a = shared.data[kRecord * p];
+      cell[s] = (particle_grid::cell_of(a.x) * kTileSide + particle_grid::cell_of(a.y)) * kTileSide +
+                particle_grid::cell_of(a.z);
+      rank[s] = atomicAdd(&shared.counts[cell[s]], 1);
+    }
+  }
+  __syncthreads();
+  if (thread < 32) {
+    const int low = shared.counts[2 * thread], high = shared.counts[2 * thread + 1];
+    int sum = low + high;
+#pragma unroll
+    for (int step = 1; step < 32; step *= 2) {
+      const int below = __shfl_up_sync(0xffffffffu, sum, static_cast<unsigned>(step));
+      if (thread >= step) sum += below;
+    }
+    shared.starts[2 * thread] = sum - low - high;
+    shared.starts[2 * thread + 1] = sum - high;
+    if (thread == 31) shared.starts[kCells] = sum;
+  }
+  __syncthreads();
+#pragma unroll
+  for (int s = 0; s < kRounds; ++s) {
+    const int p = thread + s * kScatterThreads;
+    if (p < count) shared.order[shared.starts[cell[s]] + rank[s]] = static_cast<unsigned short>(p);
+  }
+  __syncthreads();
+}
+
+// Adds up a column's four cells (neighbouring lanes) and leaves its six nodes in shared memory.
+__device__ __forceinline__ void store_columns(ScatterShared& shared, const Sums& sums, int cell_z) {
+  const int thread = static_cast<int>(threadIdx.x);
+#pragma unroll
+  for (int oy = 0; oy < kPlanes; ++oy) {
+    float own[4], next[4];  // node cell_z, complete; node cell_z + 1 without the cell above's lowest plane
+#pragma unroll
+    for (int q = 0; q < 4; ++q) {
+      const float top_below = __shfl_up_sync(0xffffffffu, sums.s[oy][2][q], 1, kTileSide);
+      next[q] = sums.s[oy][1][q] + (cell_z > 0 ? top_below : 0.0f);
+      const float next_below = __shfl_up_sync(0xffffffffu, next[q], 1, kTileSide);
+      own[q] = sums.s[oy][0][q] + (cell_z > 0 ? next_below : 0.0f);
+    }
+    shared.data[oy * kScatterThreads + thread] = make_float4(own[0], own[1], own[2], own[3]);
+    if (cell_z == kTileSide - 1) {
+      float4* ends = shared.data + kPlanes * kScatterThreads + (oy * kColumns + thread / kTileSide) * 2;
+      ends[0] = make_float4(next[0], next[1], next[2], next[3]);
+      ends[1] = make_float4(sums.s[oy][2][0], sums.s[oy][2][1], sums.s[oy][2][2], sums.s[oy][2][3]);
+    }
+  }
+}
+
+// Adds up the columns that reach each node of the tile and its halo, and adds the node to the grid.
+__device__ __forceinline__ void flush_nodes(const ScatterShared& shared, const TileGrid& grid, int tile,
+                                            float4* __restrict__ accumulators) {
+  const int tile_z = tile % grid.tiles[2], tile_y = tile / grid.tiles[2] % grid.tiles[1],
+            tile_x = tile / grid.tiles[2] / grid.tiles[1];
+  for (int node = static_cast<int>(threadIdx.x); node < kSide * kSide * kSide; node += kScatterThreads) {
+    const int x = node / (kSide * kSide), y = node / kSide % kSide, z = node % kSide;
+    const bool end = z >= kTileSide;
+    const float4* base = end ? shared.data + kPlanes * kScatterThreads + (z - kTileSide) : shared.data + z;
+    const int stride = end ? 2 : kTileSide;
+    float4 sum = make_float4(0.0f, 0.0f, 0.0f, 0.0f);
+#pragma unroll
+    for (int ox = 0; ox < kPlanes; ++ox) {
+#pragma unroll
+      for (int oy = 0; oy < kPlanes; ++oy) {
+        const int cx = x - ox, cy = y - oy;
+        if (cx < 0 || cx >= kTileSide || cy < 0 || cy >= kTileSide) continue;
+        const int column = (cx * kTileSide + cy) * kPlanes + ox;
+        const float4 part = base[(oy * kColumns + column) * stride];
+        sum.x += part.x;
+        sum.y += part.y;
+        sum.z += part.z;
+        sum.w += part.w;
+      }
+    }
+    if (!(sum.x > 0.0f)) continue;
+    const int i = kTileSide * tile_x - 2 + x, j = kTileSide * tile_y - 2 + y, k = kTileSide * tile_z - 2 + z;
+    if (i < 0 || i >= grid.nodes[0] || j < 0 || j >= grid.nodes[1] || k < 0 || k >= grid.nodes[2]) continue;
+    const int block = grid.tile(tile_x + x / kTileSide, tile_y + y / kTileSide, tile_z + z / kTileSide);
+    const int local = (x % kTileSide * kTileSide + y % kTileSide) * kTileSide + z % kTileSide;
+    particle_grid::reduce_add(accumulators + static_cast<std::size_t>(block) * kTileNodes + local, sum);
+  }
+}
+
+__global__ void __launch_bounds__(kScatterThreads, Policy::scatter_blocks_per_sm)
+    scatter(const __grid_constant__ TileGrid grid, const WorkItem* __restrict__ items,
+            const int* __restrict__ item_count, const float4* __restrict__ records,
+            float4* __restrict__ accumulators) {
+  __shared__ ScatterShared shared;
+  const int thread = static_cast<int>(threadIdx.x);
+  const int cell_z = thread % kTileSide, column = thread / kTileSide;
+  const int plane = column % kPlanes, cell_xy = column / kPlanes;
+  const int cell = cell_xy * kTileSide + cell_z;
+  const bspline::Branch branch = bspline::quadratic_branch(plane);
+  // The middle node of the cell's three, from the tile's first.
+  const float centre[3] = {static_cast<float>(cell_xy / kTileSide + 1),
+                           static_cast<float>(cell_xy % kTileSide + 1), static_cast<float>(cell_z + 1)};
+  const int n_items = *item_count;
+  for (int i = static_cast<int>(blockIdx.x); i < n_items; i += static_cast<int>(gridDim.x)) {
+    const WorkItem item = items[i];
+    const float4* list = records + static_cast<std::int64_t>(kRecord) * item.first;
+    for (int e = thread; e < kRecord * item.count; e += kScatterThreads)
+      __pipeline_memcpy_async(&shared.data[e], list + e, sizeof(float4));
+    __pipeline_commit();
+    if (thread < kCells) shared.counts[thread] = 0;
+    __pipeline_wait_prior(0);
+    __syncthreads();
+    sort_by_cell(shared, item.count);
+
+    Sums sums{};
+    const int last = shared.starts[cell + 1];
+    for (int q = shared.starts[cell]; q < last; ++q) {
+      const float4* record = shared.data + kRecord * shared.order[q];
+      add_particle(sums, branch, centre, record[0], record[1], record[2]);
+    }
+    __syncthreads();  // the list is read: its memory takes the sums
+    store_columns(shared, sums, cell_z);
+    __syncthreads();
+    flush_nodes(shared, grid, item.tile, accumulators);
+    __syncthreads();
+  }
+}
+
+struct Result {
+  float* __restrict__ u[3];
+};
+
+// One thread for node (j, k) of four consecutive planes i: the ones of a node block.
+__global__ void __launch_bounds__(Policy::normalise_threads)
+    normalise(const __grid_constant__ TileGrid grid, const unsigned char* __restrict__ touched,
+              const float4* __restrict__ accumulators, const __grid_constant__ Result result) {
+  const std::int64_t e = static_cast<std::int64_t>(blockIdx.x) * Policy::normalise_threads + threadIdx.x;
+  const std::int64_t row = e / grid.nodes[2];
+  const int k = static_cast<int>(e - row * grid.nodes[2]);
+  const int tile_x = static_cast<int>(row / grid.nodes[1]), j = static_cast<int>(row % grid.nodes[1]);
+  if (tile_x >= grid.tiles[0]) return;
+  const int block = grid.tile(tile_x, (j + 2) / kTileSide, (k + 2) / kTileSide);
+  const int local = (j + 2) % kTileSide * kTileSide + (k + 2) % kTileSide;
+  const float4* nodes = accumulators + static_cast<std::size_t>(block) * kTileNodes + local;
+  const bool any = touched[block] != 0;
+  float4 node[kTileSide];
+#pragma unroll
+  for (int s = 0; s < kTileSide; ++s)
+    node[s] = any ? __ldcs(nodes + s * kTileSide * kTileSide) : make_float4(0.0f, 0.0f, 0.0f, 0.0f);
+#pragma unroll
+  for (int s = 0; s < kTileSide; ++s) {
+    const int i = kTileSide * tile_x - 2 + s;
+    if (i < 0 || i >= grid.nodes[0]) continue;
+    const std::int64_t at = (static_cast<std::int64_t>(i) * grid.nodes[1] + j) * grid.nodes[2] + k;
+    const bool has_mass = node[s].x > 0.0f;
+    __stcs(result.u[0] + at, has_mass ? node[s].y / node[s].x : 0.0f);
+    __stcs(result.u[1] + at, has_mass ? node[s].z / node[s].x : 0.0f);
+    __stcs(result.u[2] + at, has_mass ? node[s].w / node[s].x : 0.0f);
+  }
+}
+
+class Reference {
+ public:
+  void allocate(const Inputs& in, const Outputs<float>& out) {
+    const std::int64_t n = in.x.shape[0];
+    const TileGrid grid = grid_of(in, out);
+    bins_ = particle_grid::Binning(grid, n, Policy::piece);
+    records_ = DeviceBuffer<float4>(static_cast<std::size_t>(kRecord * n));
+    accumulators_ = DeviceBuffer<float4>(static_cast<std::size_t>(grid.tile_count()) * kTileNodes);
+    int device = 0, processors = 0, resident = 0;
+    GPUPHYS_CUDA(cudaGetDevice(&device));
+    GPUPHYS_CUDA(cudaDeviceGetAttribute(&processors, cudaDevAttrMultiProcessorCount, device));
+    GPUPHYS_CUDA(cudaOccupancyMaxActiveBlocksPerMultiprocessor(&resident, scatter, kScatterThreads, 0));
+    scatter_blocks_ = processors * std::max(resident, 1);
+  }
+
+  void compute(const Inputs& in, const Outputs<float>& out) {
+    const std::int64_t n = in.x.shape[0];
+    const TileGrid grid = grid_of(in, out);
+    const BinningView bins = bins_.view();
+    const auto blocks = [](std::int64_t items, int per_block) {
+      return static_cast<unsigned>(std::max<std::int64_t>(1, (items + per_block - 1) / per_block));
+    };
+    bins_.clear();
+    constexpr int per_block = Policy::count_threads * Policy::count_per_thread;
+    particle_grid::count_particles<Policy::count_threads, Policy::count_per_thread>
+        <<<blocks(n, per_block), Policy::count_threads>>>(grid, in.x.data, n, bins.counts, bins.ranks);
+    particle_grid::plan_tiles<Policy::plan_threads>
+        <<<blocks(grid.tile_count(), Policy::plan_threads), Policy::plan_threads>>>(grid, bins, Policy::piece,
+                                                                                    accumulators_.get());
+    const Particles particles{in.x.data, in.v.data, in.F.data, n};
+    const float impulse = -in.dt * (in.V0 / in.mass_p) / in.dx;
+    const Moduli moduli{2.0f * in.mu * impulse, in.lambda * impulse};
+    place<<<blocks(n, Policy::place_threads), Policy::place_threads>>>(grid, particles, moduli, bins.starts,
+                                                                       bins.ranks, records_.get());
+    scatter<<<static_cast<unsigned>(scatter_blocks_), kScatterThreads>>>(grid, bins.items, bins.cursors + 1,
+                                                                         records_.get(), accumulators_.get());
+    const std::int64_t columns = static_cast<std::int64_t>(grid.tiles[0]) * grid.nodes[1] * grid.nodes[2];
+    normalise<<<blocks(columns, Policy::normalise_threads), Policy::normalise_threads>>>(
+        grid, bins.touched, accumulators_.get(), Result{{out.ux.data, out.uy.data, out.uz.data}});
+  }
+
+ private:
+  static TileGrid grid_of(const Inputs& in, const Outputs<float>& out) {
+    return particle_grid::make_tile_grid(out.ux.shape[0], out.ux.shape[1], out.ux.shape[2], in.dx);
+  }
+
+  particle_grid::Binning bins_;
+  DeviceBuffer<float4> records_, accumulators_;
+  int scatter_blocks_ = 0;
+};
+
+}  // namespace
+}  // namespace gpuphys::p2g_mpm
+
+namespace gpuphys {
+GPUPHYS_DEVICE_MODULE(p2g_mpm, p2g_mpm::Reference)
+}
