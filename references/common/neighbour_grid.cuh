@@ -1,4 +1,5 @@
-// Neighbour search on the device: items sorted by the cells of a uniform grid, for any payload and any cut-off.
+// Neighbour search on the device: items sorted by the cells of a uniform grid, for any payload and any
+// cut-off.
 //
 // A build is four launches, without a round trip to the host:
 //   1. find_bounds   bounding box and largest radius; its last block chooses the grid. Clears the counters.
@@ -34,7 +35,7 @@ namespace gpuphys::neighbour_grid {
 struct DefaultPolicy {
   static constexpr int bounds_threads = 512;
   static constexpr int bounds_blocks = 2 * 132;  // one wave; also bounds the last block's share
-  static constexpr int item_threads = 256;      // counting and placing: a thread an item
+  static constexpr int item_threads = 256;       // counting and placing: a thread an item
   static constexpr int scan_threads = 256;
   static constexpr int scan_vectors = 4;  // int4 a thread: 4096 cells a tile
   static constexpr int z_cells = 2;       // cells along z in one edge along x and y: ranges fit tighter
@@ -92,9 +93,9 @@ static __device__ unsigned bounds_finished;
 /// Pointers to everything that a build works on.
 struct Storage {
   Grid* grid;
-  Bounds* partial;           // one a block of find_bounds
-  int* start;                // counts, then starts: `padded` entries
-  int* rank;                 // of each item in its cell
+  Bounds* partial;            // one a block of find_bounds
+  int* start;                 // counts, then starts: `padded` entries
+  int* rank;                  // of each item in its cell
   std::uint64_t* tile_state;  // of the scan: state in the upper word, sum in the lower
   int* next_tile;
   int padded, tiles;  // entries of `start`, a whole number of tiles
@@ -314,7 +315,8 @@ class NeighbourGrid {
   void allocate(std::int64_t items) {
     constexpr int tile_items = Policy::scan_threads * Policy::scan_vectors * 4;
     const auto count = static_cast<std::size_t>(items);
-    s_.capacity = static_cast<int>(static_cast<double>(Policy::cells_per_item) * static_cast<double>(items)) + 4096;
+    s_.capacity =
+        static_cast<int>(static_cast<double>(Policy::cells_per_item) * static_cast<double>(items)) + 4096;
     s_.tiles = s_.capacity / tile_items + 1;
     s_.padded = s_.tiles * tile_items;
     blocks_ = static_cast<unsigned>(std::clamp<std::int64_t>(

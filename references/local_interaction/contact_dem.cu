@@ -3,18 +3,19 @@
 // For every grain: the grains that overlap it, found through a uniform grid, and the sum of their forces.
 //
 // Mapping: the grains are sorted by cell (references/common/neighbour_grid.cuh) into packed records, position
-// and radius in one array, velocity and index in another. A thread owns one grain in that order, so a warp owns
-// a few neighbouring cells of a column and its candidates are shared in L1. Every pair is evaluated twice, once
-// from either side, with bitwise opposite results: no atomics, and forces balance to the rounding of each sum.
+// and radius in one array, velocity and index in another. A thread owns one grain in that order, so a warp
+// owns a few neighbouring cells of a column and its candidates are shared in L1. Every pair is evaluated
+// twice, once from either side, with bitwise opposite results: no atomics, and forces balance to the rounding
+// of each sum.
 //
 // What bounds it: instruction issue of the search, then random sectors in L2. A grain meets 8.5 columns of
 // cells and about 36 candidates (cells of 1.2 x 1.2 x 0.6 against a reach of 1.15), of which 4.7 touch. What
 // pays is to keep the two apart: the search tests squared distances only (about 12 instructions a candidate)
-// and queues the hits in shared memory, a column of the queue a thread; the force (about 50 instructions) then
-// runs over the queues with most lanes busy. Evaluated inside the search, nearly every candidate would drag
-// its warp through the force: one lane in ten hits, so 97 % of the warp's steps hold a hit. The forces go back
-// to the order of the input by scattered writes; three neighbouring lanes write the three words of a grain, so
-// that a grain costs one or two sectors instead of three requests.
+// and queues the hits in shared memory, a column of the queue a thread; the force (about 50 instructions)
+// then runs over the queues with most lanes busy. Evaluated inside the search, nearly every candidate would
+// drag its warp through the force: one lane in ten hits, so 97 % of the warp's steps hold a hit. The forces
+// go back to the order of the input by scattered writes; three neighbouring lanes write the three words of a
+// grain, so that a grain costs one or two sectors instead of three requests.
 #include "cases/local_interaction/contact_dem.hpp"
 #include "core/module.hpp"
 #include "references/common/neighbour_grid.cuh"
@@ -91,8 +92,8 @@ __device__ __forceinline__ void add_contact(float3& force, const float4& sphere,
   const float nx = dx * inverse, ny = dy * inverse, nz = dz * inverse;
   const float reach = sphere.w + other.w;
   const float overlap = fmaxf(reach - distance, 0.0f);
-  const float separation = (motion.x - other_motion.x) * nx + (motion.y - other_motion.y) * ny +
-                           (motion.z - other_motion.z) * nz;
+  const float separation =
+      (motion.x - other_motion.x) * nx + (motion.y - other_motion.y) * ny + (motion.z - other_motion.z) * nz;
   const float reduced_radius = __fdividef(sphere.w * other.w, reach);
   const float spread = approximate_sqrt(reduced_radius * overlap);
   const float push = fmaxf(spread * (law.kn * overlap - law.cn * separation), 0.0f);
@@ -135,17 +136,18 @@ __global__ void __launch_bounds__(Policy::threads, Policy::blocks_per_sm)
       queue[queued][thread] = j;
       if (++queued == Policy::queue) evaluate();
     };
-    // Wider than any pair that passes the test: its sum of radii is rounded, and so is the squared distance.
-    const float cutoff = (sphere.w + grid.largest) * 1.00001f;
-    neighbour_grid::visit_ranges(grid, start, {sphere.x, sphere.y, sphere.z}, cutoff, [&](int begin, int end) {
-      // Two at a time, so that their loads overlap.
+    // Two candidates at a time, so that their loads overlap.
+    const auto search = [&](int begin, int end) {
       for (int j = begin; j < end; j += 2) {
         const int next = min(j + 1, end - 1);
         const float4 a = spheres[j], b = spheres[next];
         if (touches(a)) enqueue(j);
         if (next > j && touches(b)) enqueue(next);
       }
-    });
+    };
+    // Wider than any pair that passes the test: its sum of radii is rounded, and so is the squared distance.
+    const float cutoff = (sphere.w + grid.largest) * 1.00001f;
+    neighbour_grid::visit_ranges(grid, start, {sphere.x, sphere.y, sphere.z}, cutoff, search);
     evaluate();
   }
   // Lane l of the warp writes words l, l + 32 and l + 64 of the warp's 96: words of one grain side by side.
