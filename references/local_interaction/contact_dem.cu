@@ -8,14 +8,15 @@
 // twice, once from either side, with bitwise opposite results: no atomics, and forces balance to the rounding
 // of each sum.
 //
-// What bounds it: instruction issue of the search, then random sectors in L2. A grain meets 8.5 columns of
-// cells and about 36 candidates (cells of 1.2 x 1.2 x 0.6 against a reach of 1.15), of which 4.7 touch. What
-// pays is to keep the two apart: the search tests squared distances only (about 12 instructions a candidate)
-// and queues the hits in shared memory, a column of the queue a thread; the force (about 50 instructions)
-// then runs over the queues with most lanes busy. Evaluated inside the search, nearly every candidate would
-// drag its warp through the force: one lane in ten hits, so 97 % of the warp's steps hold a hit. The forces
-// go back to the order of the input by scattered writes; three neighbouring lanes write the three words of a
-// grain, so that a grain costs one or two sectors instead of three requests.
+// What bounds it: instruction issue of the search, then random sectors in L2. A grain meets 8.3 columns of
+// cells and 37 candidates (cells of 1.2 x 1.2 x 0.6 against a reach of 1.15), of which 4.7 touch; a warp
+// takes 28 steps of two candidates and 33 instructions. What pays is to keep search and force apart: the
+// search tests squared distances only and queues the hits in shared memory, a column of the queue a thread;
+// the force (about 50 instructions) then runs over the queues with most lanes busy: the longest of a warp's
+// 32 queues holds 6. Evaluated inside the search, nearly every candidate would drag its warp through the
+// force: one lane in eight hits. The forces go back to the order of the input by scattered writes; three
+// neighbouring lanes write the three words of a grain, so that it costs one or two sectors instead of three
+// requests.
 #include "cases/local_interaction/contact_dem.hpp"
 #include "core/module.hpp"
 #include "references/common/neighbour_grid.cuh"
@@ -48,7 +49,7 @@ struct Policy {
 
 // The grains in the order of their cells.
 struct Records {
-  float4* __restrict__ sphere;  // centre, radius
+  float4* __restrict__ sphere;  // centre, radius; and one record more, which may be read but is not a grain
   float4* __restrict__ motion;  // velocity, index in the input as bits
 };
 
@@ -68,6 +69,7 @@ struct Grains {
     const std::size_t o = 3 * static_cast<std::size_t>(i);
     records.sphere[slot] = make_float4(x[o], x[o + 1], x[o + 2], r[i]);
     records.motion[slot] = make_float4(v[o], v[o + 1], v[o + 2], __int_as_float(i));
+    if (i == 0) records.sphere[count] = make_float4(0.0f, 0.0f, 0.0f, 0.0f);
   }
 };
 
@@ -119,10 +121,9 @@ __global__ void __launch_bounds__(Policy::threads, Policy::blocks_per_sm)
     index = __float_as_int(motion.w);
     // Entries thread, thread + threads, ... of the queue are this thread's own; `top` is the next free one.
     int top = thread;
-    const int nearly_full = thread + (Policy::queue - 2) * Policy::threads;
     const auto evaluate = [&] {
-      for (int k = thread; k < top; k += Policy::threads) {
-        const int j = queue[k];
+      for (int entry = thread; entry < top; entry += Policy::threads) {
+        const int j = queue[entry];
         add_contact(force, sphere, motion, spheres[j], motions[j], law);
       }
       top = thread;
@@ -136,16 +137,22 @@ __global__ void __launch_bounds__(Policy::threads, Policy::blocks_per_sm)
     // No branch: with 32 lanes nearly every step holds a hit. What did not hit is overwritten.
     const auto enqueue_if = [&](bool hit, int j) {
       queue[top] = j;
-      top += hit ? Policy::threads : 0;
+      if (hit) top += Policy::threads;
     };
-    // Two candidates at a time, so that their loads overlap.
+    // Two candidates at a time, so that their loads overlap. The second of a last pair lies behind the range.
+    // Ranges are cut so that the queue need not be looked at in between.
     const auto search = [&](int begin, int end) {
-      for (int j = begin; j < end; j += 2) {
-        const int next = min(j + 1, end - 1);
-        const float4 a = spheres[j], b = spheres[next];
-        enqueue_if(touches(a), j);
-        enqueue_if(touches(b) && next > j, next);
-        if (top > nearly_full) evaluate();
+      constexpr int chunk = Policy::queue / 2;
+      for (; begin < end; begin += chunk) {
+        const float4* __restrict__ const from = spheres + begin;
+#pragma unroll
+        for (int k = 0; k < chunk; k += 2) {
+          if (begin + k >= end) break;
+          const float4 a = from[k], b = from[k + 1];
+          enqueue_if(touches(a), begin + k);
+          enqueue_if(touches(b) && begin + k + 1 < end, begin + k + 1);
+        }
+        if (top >= chunk * Policy::threads) evaluate();
       }
     };
     // Wider than any pair that passes the test: its sum of radii is rounded, and so is the squared distance.
@@ -174,7 +181,7 @@ class Reference {
     const std::int64_t n = in.radius.shape[0];
     if (n > (1 << 30)) throw std::runtime_error("contact_dem: more than 2^30 grains");
     grid_.allocate(n);
-    sphere_ = DeviceBuffer<float4>(static_cast<std::size_t>(n));
+    sphere_ = DeviceBuffer<float4>(static_cast<std::size_t>(n) + 1);
     motion_ = DeviceBuffer<float4>(static_cast<std::size_t>(n));
   }
 
