@@ -1,0 +1,207 @@
+// contact_dem: normal contact forces between overlapping spheres (Hertz, damped, no tension), FP32.
+//
+// For every grain: the grains that overlap it, found through a uniform grid, and the sum of their forces.
+//
+// Mapping: the grains are sorted by cell (references/common/neighbour_grid.cuh) into packed records, position
+// and radius in one array, velocity and index in another. A thread owns one grain in that order, so a warp
+// owns a few neighbouring cells of a column and its candidates are shared in L1. Every pair is evaluated
+// twice, once from either side, with bitwise opposite results: no atomics, and forces balance to the rounding
+// of each sum.
+//
+// What bounds it: instruction issue of the search, then random sectors in L2. A grain meets 8.3 columns of
+// cells and 37 candidates (cells of 1.2 x 1.2 x 0.6 against a reach of 1.15), of which 4.7 touch; a warp
+// takes 28 steps of two candidates and 33 instructions. What pays is to keep search and force apart: the
+// search tests squared distances only and queues the hits in shared memory, a column of the queue a thread;
+// the force (about 50 instructions) then runs over the queues with most lanes busy: the longest of a warp's
+// 32 queues holds 6. Evaluated inside the search, nearly every candidate would drag its warp through the
+// force: one lane in eight hits. The forces go back to the order of the input by scattered writes; three
+// neighbouring lanes write the three words of a grain, so that it costs one or two sectors instead of three
+// requests.
+#include "cases/local_interaction/contact_dem.hpp"
+#include "core/module.hpp"
+#include "references/common/neighbour_grid.cuh"
+
+namespace gpuphys::contact_dem {
+namespace {
+
+#ifdef GPUPHYS_OTHER_BLOCKS
+struct GridPolicy : neighbour_grid::DefaultPolicy {
+  static constexpr int bounds_threads = 256;
+  static constexpr int bounds_blocks = 96;
+  static constexpr int item_threads = 128;
+  static constexpr int scan_threads = 128;
+  static constexpr int scan_vectors = 2;
+  static constexpr int z_cells = 1;
+};
+struct Policy {
+  static constexpr int threads = 64;
+  static constexpr int queue = 4;
+  static constexpr int blocks_per_sm = 16;
+};
+#else
+using GridPolicy = neighbour_grid::DefaultPolicy;
+struct Policy {
+  static constexpr int threads = 128;
+  static constexpr int queue = 16;  // contacts a grain may have before its force is evaluated in between
+  static constexpr int blocks_per_sm = 10;
+};
+#endif
+
+// The grains in the order of their cells.
+struct Records {
+  float4* __restrict__ sphere;  // centre, radius; and one record more, which may be read but is not a grain
+  float4* __restrict__ motion;  // velocity, index in the input as bits
+};
+
+struct Grains {
+  const float* __restrict__ x;
+  const float* __restrict__ v;
+  const float* __restrict__ r;
+  Records records;
+  int count;
+
+  __device__ __forceinline__ float3 position(int i) const {
+    const std::size_t o = 3 * static_cast<std::size_t>(i);
+    return {x[o], x[o + 1], x[o + 2]};
+  }
+  __device__ __forceinline__ float radius(int i) const { return r[i]; }
+  __device__ __forceinline__ void place(int i, int slot) const {
+    const std::size_t o = 3 * static_cast<std::size_t>(i);
+    records.sphere[slot] = make_float4(x[o], x[o + 1], x[o + 2], r[i]);
+    records.motion[slot] = make_float4(v[o], v[o + 1], v[o + 2], __int_as_float(i));
+    if (i == 0) records.sphere[count] = make_float4(0.0f, 0.0f, 0.0f, 0.0f);
+  }
+};
+
+struct Law {
+  float kn, cn;
+};
+
+__device__ __forceinline__ float approximate_sqrt(float a) {
+  float root;
+  asm("sqrt.approx.f32 %0, %1;" : "=f"(root) : "f"(a));  // 1 ulp, and 0 for 0
+  return root;
+}
+
+// Adds to `force` what the grain (sphere, motion) feels from another one that it overlaps.
+__device__ __forceinline__ void add_contact(float3& force, const float4& sphere, const float4& motion,
+                                            const float4& other, const float4& other_motion, Law law) {
+  const float dx = sphere.x - other.x, dy = sphere.y - other.y, dz = sphere.z - other.z;
+  const float square = dx * dx + dy * dy + dz * dz;
+  const float inverse = rsqrtf(square);
+  float distance = square * inverse;
+  distance += 0.5f * inverse * (square - distance * distance);  // the overlap is a small difference of it
+  const float nx = dx * inverse, ny = dy * inverse, nz = dz * inverse;
+  const float reach = sphere.w + other.w;
+  const float overlap = fmaxf(reach - distance, 0.0f);
+  const float separation =
+      (motion.x - other_motion.x) * nx + (motion.y - other_motion.y) * ny + (motion.z - other_motion.z) * nz;
+  const float reduced_radius = __fdividef(sphere.w * other.w, reach);
+  const float spread = approximate_sqrt(reduced_radius * overlap);
+  const float push = fmaxf(spread * (law.kn * overlap - law.cn * separation), 0.0f);
+  force.x += push * nx;
+  force.y += push * ny;
+  force.z += push * nz;
+}
+
+__global__ void __launch_bounds__(Policy::threads, Policy::blocks_per_sm)
+    sum_contacts(const __grid_constant__ Records records, const neighbour_grid::Grid* __restrict__ grid_in,
+                 const int* __restrict__ start, float* __restrict__ result, Law law, int count) {
+  __shared__ int queue[Policy::queue * Policy::threads];
+  __shared__ float staged[3 * Policy::threads];
+  const float4* __restrict__ const spheres = records.sphere;
+  const float4* __restrict__ const motions = records.motion;
+  const int thread = static_cast<int>(threadIdx.x);
+  const int slot = static_cast<int>(blockIdx.x) * Policy::threads + thread;
+  float3 force{0.0f, 0.0f, 0.0f};
+  int index = -1;
+  if (slot < count) {
+    const neighbour_grid::Grid& grid = *grid_in;
+    const float4 sphere = spheres[slot], motion = motions[slot];
+    index = __float_as_int(motion.w);
+    // Entries thread, thread + threads, ... of the queue are this thread's own; `top` is the next free one.
+    int top = thread;
+    const auto evaluate = [&] {
+      for (int entry = thread; entry < top; entry += Policy::threads) {
+        const int j = queue[entry];
+        add_contact(force, sphere, motion, spheres[j], motions[j], law);
+      }
+      top = thread;
+    };
+    // Neither the grain itself nor one with the same centre pushes: a direction is missing.
+    const auto touches = [&](const float4& other) {
+      const float dx = sphere.x - other.x, dy = sphere.y - other.y, dz = sphere.z - other.z;
+      const float square = dx * dx + dy * dy + dz * dz, reach = sphere.w + other.w;
+      return square < reach * reach && square > 0.0f;
+    };
+    // No branch: with 32 lanes nearly every step holds a hit. What did not hit is overwritten.
+    const auto enqueue_if = [&](bool hit, int j) {
+      queue[top] = j;
+      if (hit) top += Policy::threads;
+    };
+    // Two candidates at a time, so that their loads overlap. The second of a last pair lies behind the range.
+    // Ranges are cut so that the queue need not be looked at in between.
+    const auto search = [&](int begin, int end) {
+      constexpr int chunk = Policy::queue / 2;
+      for (; begin < end; begin += chunk) {
+        const float4* __restrict__ const from = spheres + begin;
+#pragma unroll
+        for (int k = 0; k < chunk; k += 2) {
+          if (begin + k >= end) break;
+          const float4 a = from[k], b = from[k + 1];
+          enqueue_if(touches(a), begin + k);
+          enqueue_if(touches(b) && begin + k + 1 < end, begin + k + 1);
+        }
+        if (top >= chunk * Policy::threads) evaluate();
+      }
+    };
+    // Wider than any pair that passes the test: its sum of radii is rounded, and so is the squared distance.
+    const float cutoff = (sphere.w + grid.largest) * 1.00001f;
+    neighbour_grid::visit_ranges(grid, start, {sphere.x, sphere.y, sphere.z}, cutoff, search);
+    evaluate();
+  }
+  // Lane l of the warp writes words l, l + 32 and l + 64 of the warp's 96: words of one grain side by side.
+  const int lane = thread % 32;
+  float* const words = staged + 3 * (thread - lane);
+  words[3 * lane] = force.x;
+  words[3 * lane + 1] = force.y;
+  words[3 * lane + 2] = force.z;
+  __syncwarp();
+#pragma unroll
+  for (int k = 0; k < 3; ++k) {
+    const int word = k * 32 + lane;
+    const int target = __shfl_sync(0xffffffffu, index, word / 3);
+    if (target >= 0) result[3 * static_cast<std::size_t>(target) + word % 3] = words[word];
+  }
+}
+
+class Reference {
+ public:
+  void allocate(const Inputs& in, const Outputs<float>&) {
+    const std::int64_t n = in.radius.shape[0];
+    if (n > (1 << 30)) throw std::runtime_error("contact_dem: more than 2^30 grains");
+    grid_.allocate(n);
+    sphere_ = DeviceBuffer<float4>(static_cast<std::size_t>(n) + 1);
+    motion_ = DeviceBuffer<float4>(static_cast<std::size_t>(n));
+  }
+
+  void compute(const Inputs& in, const Outputs<float>& out) {
+    const int n = static_cast<int>(in.radius.shape[0]);
+    if (n == 0) return;
+    const Records records{sphere_.get(), motion_.get()};
+    grid_.build(Grains{in.x.data, in.v.data, in.radius.data, records, n});
+    sum_contacts<<<static_cast<unsigned>((n + Policy::threads - 1) / Policy::threads), Policy::threads>>>(
+        records, grid_.grid(), grid_.start(), out.force.data, Law{in.kn, in.cn}, n);
+  }
+
+ private:
+  neighbour_grid::NeighbourGrid<GridPolicy> grid_;
+  DeviceBuffer<float4> sphere_, motion_;
+};
+
+}  // namespace
+}  // namespace gpuphys::contact_dem
+
+namespace gpuphys {
+GPUPHYS_DEVICE_MODULE(contact_dem, contact_dem::Reference)
+}
