@@ -341,10 +341,12 @@ Task make_task() {
   t.checks = {
       pc::displacement_check(4e-3, "the paper's table of inputs and checks"),
       pc::free_particles_check(1e-6, "the paper's table of inputs and checks"),
-      pc::local_displacement_check(1e-2,
-                                   "float32 has 3e-5 m between neighbours at |y| < 512 m, 2e-3 of the rms "
-                                   "displacement: four such steps, and "
-                                   "far below the tenth of the rms that one spring too few makes"),
+      pc::local_displacement_check(2e-2,
+                                   "float32 numbers at |y| < 512 m are up to 3.05e-5 m apart, 4.1e-3 of the "
+                                   "rms displacement of 7.4e-3 m, and "
+                                   "two correct results are equal or neighbours: five times that, and far "
+                                   "below the tenth of the rms that one "
+                                   "spring too few makes"),
   };
   t.unordered = {{"n", {"springs"}}, {"m", {}}};
   t.target_floor_multiple = 20;
