@@ -24,6 +24,7 @@
 #include <utility>
 
 #include "core/module.hpp"
+#include "references/position_constraint/spatial_order.cuh"
 #include "references/position_constraint/spring_projection.cuh"
 
 namespace gpuphys::solve_constraint_xpbd {
@@ -34,10 +35,12 @@ struct Policy {
   static constexpr int threads = 128;
   static constexpr int lanes = 8;
   static constexpr int unroll = 2;
+  static constexpr bool renumber = true;
 #else
   static constexpr int threads = 256;
-  static constexpr int lanes = 4;   // a row of 12 half-springs is three full turns
-  static constexpr int unroll = 3;  // and all of them are in flight at once
+  static constexpr int lanes = 4;          // a row of 12 half-springs is three full turns
+  static constexpr int unroll = 3;         // and all of them are in flight at once
+  static constexpr bool renumber = false;  // particles by the Morton code of their cell
 #endif
 };
 
@@ -54,7 +57,8 @@ class Reference {
       throw std::runtime_error("more particles or springs than 32 bits count");
     n_ = static_cast<int>(n);
     m_ = static_cast<int>(m);
-    rows_ = springs::HalfSprings(n_, m_);
+    rows_ = springs::HalfSprings(n_, m_, Policy::renumber);
+    if (Policy::renumber) order_ = spatial::Order(n_);
     multiplier_ = DeviceBuffer<float>(2 * static_cast<std::size_t>(m));
     for (DeviceBuffer<springs::Particle>& p : particles_) {
       p = DeviceBuffer<springs::Particle>(static_cast<std::size_t>(n));
@@ -63,11 +67,13 @@ class Reference {
 
   void compute(const Inputs& in, const Outputs<float>& out) {
     if (n_ == 0) return;
-    rows_.build(reinterpret_cast<const int2*>(in.springs.data), in.rest.data, n_, m_, Policy::threads);
+    if (Policy::renumber) order_.build(in.x.data, n_, Policy::threads);
+    rows_.build(reinterpret_cast<const int2*>(in.springs.data), in.rest.data, order_.number(), n_, m_,
+                Policy::threads);
     springs::Particle* now = particles_[0].get();
     springs::Particle* next = particles_[1].get();
-    springs::place_particles<<<blocks_for(n_), Policy::threads>>>(in.x.data, in.inv_mass.data, rows_.begin(),
-                                                                  n_, now, next);
+    springs::place_particles<<<blocks_for(n_), Policy::threads>>>(in.x.data, in.inv_mass.data, order_.order(),
+                                                                  rows_.begin(), n_, now, next);
     const float dt = in.dt;
     const float alpha = in.compliance / (dt * dt);
     const int iterations = in.iters;
@@ -76,12 +82,13 @@ class Reference {
           now, next, rows_.begin(), rows_.half(), multiplier_.get(), n_, alpha, k == 0);
       std::swap(now, next);
     }
-    springs::write_positions<<<blocks_for(n_), Policy::threads>>>(now, n_, out.x_new.data);
+    springs::write_positions<<<blocks_for(n_), Policy::threads>>>(now, order_.order(), n_, out.x_new.data);
   }
 
  private:
   int n_ = 0, m_ = 0;
   springs::HalfSprings rows_;
+  spatial::Order order_;  // without memory, and its pointers null, unless particles are renumbered
   DeviceBuffer<float> multiplier_;
   DeviceBuffer<springs::Particle> particles_[2];
 };

@@ -39,12 +39,19 @@ __device__ __forceinline__ void length_of(float square, float& length, float& in
 }
 
 /// Numbers the half-springs at each particle: `rank[2 j + end]` is the place of spring j in the row of that
-/// end. `count` must be zero before. A spring from a particle to itself gets no place (rank -1).
-__global__ void count_half_springs(const int2* __restrict__ ends, int m, int* __restrict__ count,
-                                   int2* __restrict__ rank) {
+/// end. `count` must be zero before. A spring from a particle to itself gets no place (rank -1). Where
+/// `number` is not null, it renumbers the particles, and `renumbered` receives the new ends.
+__global__ void count_half_springs(const int2* __restrict__ ends, int m,
+                                   const std::int32_t* __restrict__ number, int2* __restrict__ renumbered,
+                                   int* __restrict__ count, int2* __restrict__ rank) {
   const int j = static_cast<int>(blockIdx.x * blockDim.x + threadIdx.x);
   if (j >= m) return;
-  const int2 e = __ldcs(ends + j);
+  int2 e = __ldcs(ends + j);
+  if (number) {
+    e.x = number[e.x];
+    e.y = number[e.y];
+    __stcs(renumbered + j, e);
+  }
   int2 r{-1, -1};
   if (e.x != e.y) {
     r.x = atomicAdd(count + e.x, 1);
@@ -67,27 +74,31 @@ __global__ void fill_half_springs(const int2* __restrict__ ends, const float* __
   half[begin[e.y] + r.y] = {e.x, length};
 }
 
-/// Both buffers of the double-buffered iteration, at rest at the input positions.
+/// Both buffers of the double-buffered iteration, at rest at the input positions. Where `order` is not null,
+/// place i takes particle order[i].
 __global__ void place_particles(const float* __restrict__ x, const float* __restrict__ inv_mass,
-                                const int* __restrict__ begin, int n, Particle* __restrict__ a,
-                                Particle* __restrict__ b) {
+                                const std::uint32_t* __restrict__ order, const int* __restrict__ begin, int n,
+                                Particle* __restrict__ a, Particle* __restrict__ b) {
   const int i = static_cast<int>(blockIdx.x * blockDim.x + threadIdx.x);
   if (i >= n) return;
+  const int q = order ? static_cast<int>(order[i]) : i;
   Particle p;
-  p.base = make_float4(x[3 * i], x[3 * i + 1], x[3 * i + 2], inv_mass[i]);
+  p.base = make_float4(x[3 * q], x[3 * q + 1], x[3 * q + 2], inv_mass[q]);
   p.step = make_float4(0.0f, 0.0f, 0.0f, static_cast<float>(begin[i + 1] - begin[i]));
   a[i] = p;
   b[i] = p;
 }
 
-/// x + displacement, rounded once.
-__global__ void write_positions(const Particle* __restrict__ particles, int n, float* __restrict__ x) {
+/// x + displacement, rounded once, back in input order.
+__global__ void write_positions(const Particle* __restrict__ particles,
+                                const std::uint32_t* __restrict__ order, int n, float* __restrict__ x) {
   const int i = static_cast<int>(blockIdx.x * blockDim.x + threadIdx.x);
   if (i >= n) return;
+  const int q = order ? static_cast<int>(order[i]) : i;
   const Particle p = particles[i];
-  x[3 * i] = p.base.x + p.step.x;
-  x[3 * i + 1] = p.base.y + p.step.y;
-  x[3 * i + 2] = p.base.z + p.step.z;
+  x[3 * q] = p.base.x + p.step.x;
+  x[3 * q + 1] = p.base.y + p.step.y;
+  x[3 * q + 2] = p.base.z + p.step.z;
 }
 
 /// One Jacobi iteration: `Lanes` threads a particle share its row, `Unroll` half-springs each at a time.
@@ -158,20 +169,29 @@ __global__ void project(const Particle* __restrict__ now, Particle* __restrict__
 class HalfSprings {
  public:
   HalfSprings() = default;
-  HalfSprings(int n, int m)
+  /// `renumber`: build() will be given a numbering.
+  HalfSprings(int n, int m, bool renumber)
       : begin_(static_cast<std::size_t>(n) + 1),
         rank_(static_cast<std::size_t>(m)),
+        renumbered_(renumber ? static_cast<std::size_t>(m) : 0),
         half_(2 * static_cast<std::size_t>(m)),
         scratch_bytes_(primitives::exclusive_sum_bytes(n + 1)),
         scratch_(scratch_bytes_) {}
 
-  /// Sorts the springs into rows. `threads` is the block size.
-  void build(const int2* ends, const float* rest, int n, int m, int threads) const {
+  /// Sorts the springs into rows, of particles renumbered by `number` unless it is null. `threads` is the
+  /// block size.
+  void build(const int2* ends, const float* rest, const std::int32_t* number, int n, int m,
+             int threads) const {
     GPUPHYS_CUDA(cudaMemsetAsync(begin_.get(), 0, sizeof(int) * (static_cast<std::size_t>(n) + 1)));
     const auto blocks = static_cast<unsigned>((m + threads - 1) / threads);
-    if (m > 0) count_half_springs<<<blocks, threads>>>(ends, m, begin_.get(), rank_.get());
+    if (m > 0) {
+      count_half_springs<<<blocks, threads>>>(ends, m, number, renumbered_.get(), begin_.get(), rank_.get());
+    }
     primitives::exclusive_sum(scratch_.get(), scratch_bytes_, begin_.get(), begin_.get(), n + 1);
-    if (m > 0) fill_half_springs<<<blocks, threads>>>(ends, rest, rank_.get(), begin_.get(), m, half_.get());
+    if (m > 0) {
+      fill_half_springs<<<blocks, threads>>>(number ? renumbered_.get() : ends, rest, rank_.get(),
+                                             begin_.get(), m, half_.get());
+    }
   }
 
   const int* begin() const { return begin_.get(); }       ///< (n+1): counts, then where each row begins
@@ -179,7 +199,7 @@ class HalfSprings {
 
  private:
   DeviceBuffer<int> begin_;
-  DeviceBuffer<int2> rank_;
+  DeviceBuffer<int2> rank_, renumbered_;
   DeviceBuffer<HalfSpring> half_;
   std::size_t scratch_bytes_ = 0;
   DeviceBuffer<unsigned char> scratch_;
