@@ -23,9 +23,9 @@ using cloth_sheets::Parameters;
 using cloth_sheets::Point;
 
 Problem problem_from(const EdgeMesh& mesh) {
-  Problem p = make_problem(describe<Inputs, Outputs<float>>(),
-                           {{"n", static_cast<std::int64_t>(mesh.x0.size())},
-                            {"m", static_cast<std::int64_t>(mesh.edges.size())}});
+  Problem p =
+      make_problem(describe<Inputs, Outputs<float>>(), {{"n", static_cast<std::int64_t>(mesh.x0.size())},
+                                                        {"m", static_cast<std::int64_t>(mesh.edges.size())}});
   const std::span<float> x0 = p.inputs[0].as<float>(), x1 = p.inputs[1].as<float>();
   const std::span<std::int32_t> edges = p.inputs[2].as<std::int32_t>();
   for (std::size_t v = 0; v < mesh.x0.size(); ++v) {
@@ -80,8 +80,14 @@ double rounded(const HostArray& truth, std::int64_t i) {
 }
 
 Check relative_l2_of_toi_minus_1() {
-  return {"toi_minus_1_rel_l2", CheckKind::paper, "toi - 1", "relative L2", 4e-6,
-          "the paper's table of inputs and checks", true, [](const Judged& j) {
+  return {"toi_minus_1_rel_l2",
+          CheckKind::paper,
+          "toi - 1",
+          "relative L2",
+          4e-6,
+          "the paper's table of inputs and checks",
+          true,
+          [](const Judged& j) {
             const HostArray &got = find(j.outputs, "toi", "outputs"), &truth = find(*j.truth, "toi", "truth");
             double difference = 0, norm = 0;
             for (std::int64_t i = 0; i < got.size(); ++i) {
@@ -98,10 +104,15 @@ Check relative_l2_of_toi_minus_1() {
 constexpr double kLocalTolerance = 1e-4;
 
 Check local_error() {
-  return {"toi_local", CheckKind::local, "toi", "largest error", kLocalTolerance,
+  return {"toi_local",
+          CheckKind::local,
+          "toi",
+          "largest error",
+          kLocalTolerance,
           "inputs keep no event whose time float32 rounding, taken at sixteen units of the largest term of "
           "the cubic, could move by more than 5e-4; what is seen are one to two units",
-          true, [](const Judged& j) {
+          true,
+          [](const Judged& j) {
             const HostArray &got = find(j.outputs, "toi", "outputs"), &truth = find(*j.truth, "toi", "truth");
             Measured worst;
             worst.error = -1;
@@ -118,9 +129,14 @@ Check local_error() {
 }
 
 Check mismatched_events() {
-  return {"toi_mismatched_events", CheckKind::local, "toi",
-          "edges with an event in one solution only, or with times more than 1e-3 apart", 0.5,
-          "none: inputs hold no event that rounding in float32 can add or remove", true, [](const Judged& j) {
+  return {"toi_mismatched_events",
+          CheckKind::local,
+          "toi",
+          "edges with an event in one solution only, or with times more than 1e-3 apart",
+          0.5,
+          "none: inputs hold no event that rounding in float32 can add or remove",
+          true,
+          [](const Judged& j) {
             const HostArray &got = find(j.outputs, "toi", "outputs"), &truth = find(*j.truth, "toi", "truth");
             Measured m;
             for (std::int64_t i = 0; i < got.size(); ++i) {
@@ -158,15 +174,21 @@ Check within_the_step() {
 /// Every output equals what `expected` says of its edge, within `tolerance`.
 Check known_times(std::string name, double tolerance, std::string why,
                   std::function<double(std::int64_t)> expected) {
-  return {std::move(name), CheckKind::invariant, "toi", "largest distance from the known time", tolerance,
-          std::move(why),  false,                [=](const Judged& j) {
+  return {std::move(name),
+          CheckKind::invariant,
+          "toi",
+          "largest distance from the known time",
+          tolerance,
+          std::move(why),
+          false,
+          [=](const Judged& j) {
             const HostArray& toi = find(j.outputs, "toi", "outputs");
             Measured worst;
             for (std::int64_t i = 0; i < toi.size(); ++i) {
               const double e = std::abs(toi.value(i) - expected(i));
               if (!(e <= worst.error)) {
-                worst = {e,
-                         fmt::format("{}: got {:.9g}, known {:.9g}", index_text(toi, i), toi.value(i), expected(i))};
+                worst = {e, fmt::format("{}: got {:.9g}, known {:.9g}", index_text(toi, i), toi.value(i),
+                                        expected(i))};
                 if (!std::isfinite(e)) break;
               }
             }
@@ -269,8 +291,7 @@ InputSet near_the_ends() {
           const HostArray& toi = find(j.outputs, "toi", "outputs");
           Measured worst;
           for (std::int64_t i = 0; i < toi.size(); ++i) {
-            const double e =
-                std::min(std::abs(toi.value(i) - rod_time(i / 2)), std::abs(toi.value(i) - 1));
+            const double e = std::min(std::abs(toi.value(i) - rod_time(i / 2)), std::abs(toi.value(i) - 1));
             if (!(e <= worst.error)) {
               worst = {e, fmt::format("{}: got {:.9g}, height {:.9g}", index_text(toi, i), toi.value(i),
                                       rod_time(i / 2))};
@@ -279,8 +300,8 @@ InputSet near_the_ends() {
           }
           return worst;
         }},
-       {"agreement_of_the_pair", CheckKind::invariant, "toi", "largest difference between the two rods", 1e-12,
-        "an event is found for both or for neither", false,
+       {"agreement_of_the_pair", CheckKind::invariant, "toi", "largest difference between the two rods",
+        1e-12, "an event is found for both or for neither", false,
         [](const Judged& j) {
           const HostArray& toi = find(j.outputs, "toi", "outputs");
           Measured worst;
@@ -379,8 +400,9 @@ Problem far_from_the_origin() {
     Motion m;
     for (std::size_t d = 0; d < 3; ++d) {
       // Drawn anew, a vertex moves by a few units of that resolution.
-      const double shift = attempt == 0 ? 0 : 0.02 * uniform11(41, static_cast<std::uint64_t>(attempt),
-                                                             3 * static_cast<std::uint64_t>(v) + d);
+      const double shift = attempt == 0 ? 0
+                                        : 0.02 * uniform11(41, static_cast<std::uint64_t>(attempt),
+                                                           3 * static_cast<std::uint64_t>(v) + d);
       m.start[d] = 1e4 + static_cast<double>(x0[static_cast<std::size_t>(v)][d]) + shift;
       m.end[d] = 1e4 + static_cast<double>(x1[static_cast<std::size_t>(v)][d]) - shift;
     }
@@ -391,13 +413,14 @@ Problem far_from_the_origin() {
 
 std::vector<InputSet> hard_cases() {
   std::vector<InputSet> sets;
-  sets.push_back(hard("one_edge", "a single edge has no partner",
-                      [] {
-                        EdgeMesh mesh;
-                        add_edge(mesh, {0, 0, 0}, {1, 0, 0}, {0, 3, 0}, {0, 3, 1});
-                        return problem_from(mesh);
-                      },
-                      {no_events("there is no other edge")}, false));
+  sets.push_back(hard(
+      "one_edge", "a single edge has no partner",
+      [] {
+        EdgeMesh mesh;
+        add_edge(mesh, {0, 0, 0}, {1, 0, 0}, {0, 3, 0}, {0, 3, 1});
+        return problem_from(mesh);
+      },
+      {no_events("there is no other edge")}, false));
   sets.push_back(hard("static", "sheets that interpenetrate and do not move", static_sheets,
                       {no_events("nothing moves, so no sign changes")}, false));
   sets.push_back(hard("always_coplanar",
@@ -411,9 +434,10 @@ std::vector<InputSet> hard_cases() {
   sets.push_back(perpendicular_rods(
       "fast_rods", "the same at 4096 lengths a step: each box spans all others along z", 4096.0));
   sets.push_back(near_the_ends());
-  sets.push_back(hard("tumbling_in_one_cell",
-                      "500 edges that turn over in one spot: all pairs overlap, up to three coplanar times",
-                      [] { return tumbling(500, 1.0, 51); }, {}, true));
+  sets.push_back(hard(
+      "tumbling_in_one_cell",
+      "500 edges that turn over in one spot: all pairs overlap, up to three coplanar times",
+      [] { return tumbling(500, 1.0, 51); }, {}, true));
   sets.push_back(hard("long_edges", "six edges a hundred times as long as the other 1494 around them",
                       long_edges, {}, true));
   sets.push_back(hard("far_from_the_origin", "sheets at 1e4: positions resolve 1e-3, differences are exact",

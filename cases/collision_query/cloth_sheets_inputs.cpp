@@ -134,8 +134,8 @@ class Columns {
     }
     const double count = static_cast<double>(boxes.size());
     const double area = (high_[0] - low_[0]) * (high_[1] - low_[1]);
-    size_ = std::max({sum / count, std::sqrt(area / count), 1e-3 * (high_[0] - low_[0] + high_[1] - low_[1]),
-                      1e-30});
+    size_ = std::max(
+        {sum / count, std::sqrt(area / count), 1e-3 * (high_[0] - low_[0] + high_[1] - low_[1]), 1e-30});
     for (std::size_t d = 0; d < 2; ++d) n_[d] = column(high_[d], d) + 1;
     first_.assign(static_cast<std::size_t>(n_[0] * n_[1] + 1), 0);
     for (const Box& b : boxes) visit(b, [&](std::size_t c) { ++first_[c + 1]; });
@@ -209,8 +209,8 @@ Motion lattice_vertex(const Parameters& p, int l, std::int64_t a, std::int64_t b
   m.start = {da + 0.37 * l + p.jitter * noise(kJitterStream, 0),
              db + 0.21 * l + p.jitter * noise(kJitterStream, 1),
              l * p.offset + wave + p.jitter * noise(kJitterStream, 2)};
-  const double drive = lift * (l % 2 == 0 ? 1 : -1) *
-                       std::sin(turn * (da + 0.5 * db) / p.drive_period + lift_phase * l);
+  const double drive =
+      lift * (l % 2 == 0 ? 1 : -1) * std::sin(turn * (da + 0.5 * db) / p.drive_period + lift_phase * l);
   m.end = {m.start[0] + lateral * noise(kLateralStream, 0), m.start[1] + lateral * noise(kLateralStream, 1),
            m.start[2] + drive + lift_noise * noise(kLiftStream, 0)};
   return m;
@@ -258,7 +258,10 @@ void settle(EdgeMesh& mesh, std::int64_t vertices, const DrawVertex& draw) {
         const auto [c, d] = mesh.edges[j];
         if (a == c || a == d || b == c || b == d) return;
         if (ambiguous(pair_motion(mesh, std::min(i, j), std::max(i, j)))) {
-          bad[static_cast<std::size_t>(mesh.edges[std::min(i, j)][0])] = 1;
+          // In turn each of the four: where one end lies on the other edge, moving the wrong vertex is no
+          // cure.
+          const auto& edge = mesh.edges[round % 4 < 2 ? std::min(i, j) : std::max(i, j)];
+          bad[static_cast<std::size_t>(edge[static_cast<std::size_t>(round % 2)])] = 1;
           any = true;
         }
       });
