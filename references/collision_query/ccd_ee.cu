@@ -7,15 +7,15 @@
 // 4. impacts: a warp owns 32 places in a row. It walks the cells within reach of any of them; each candidate
 // is
 //    loaded once, the same for all lanes, and every lane compares it with its own box. Pairs are met once,
-//    from the lower place. Those whose boxes overlap go to a queue of the warp in shared memory and are
-//    examined 32 at a time: separated along an axis throughout, or a cubic whose Bernstein coefficients have
-//    one sign, they are dropped; the rest goes to a second queue, from which 32 at a time are bisected. So
-//    the long instruction streams run with full warps although few candidates get that far.
+//    from the lower place. Those whose boxes overlap and that share no vertex go to a queue of the warp in
+//    shared memory and are examined 32 at a time: a cubic whose Bernstein coefficients have one sign is
+//    dropped, the rest goes to a second queue, from which 32 at a time are bisected. So the long instruction
+//    streams run with full warps although few candidates get that far.
 //
-// What bounds it (prediction for the paper's size): about 20 candidates of a warp a place, each 15
-// instructions for a warp; 20 M overlapping pairs at 150 instructions a batch of 32 and six gathered 16-byte
-// loads, which the L1 takes 10 to 20 cycles each for; a tenth of them bisected in 300. The gathers of stage 4
-// and the 130 MB that stage 3 writes and stage 4 reads are the larger part.
+// What bounds it: the broad phase. Of the paper's public input 9.1 M pairs of boxes overlap, 6.1 M of them of
+// edges with a vertex in common; 3.0 M are examined, 1.3 M have a cubic that may change its sign, 0.39 M
+// events are found (counted on the host). references/collision_query/NOTES.md has the prediction stage by
+// stage.
 #include <cstddef>
 #include <cstdint>
 #include <stdexcept>
@@ -51,6 +51,7 @@ struct Policy {
 #endif
   static constexpr int edge_blocks = 132 * 8;  // at most, each thread then takes several edges
   static constexpr int large_chunk = 1024;     // candidates of a large box that a warp takes at a time
+  static constexpr int resident_warps = 24;    // of `impacts` on an SM: 80 registers a thread
   static constexpr int impact_threads = 32 * warps;
 };
 
@@ -95,6 +96,7 @@ struct Scratch {
   float4* __restrict__ boxes;  // per place: two, lower and upper corner with the two vertices
   float4* __restrict__ positions;  // per place: three, a0 b0 a1 b1
   int cell_capacity;
+  int m;  // edges
 };
 
 __device__ __forceinline__ collision::GridShape grid_shape() {
@@ -163,9 +165,9 @@ __global__ void __launch_bounds__(Policy::edge_threads) count(Mesh mesh, Scratch
   if (threadIdx.x < 3) atomicMax(&s.sums->reach_code[threadIdx.x], codes[threadIdx.x]);
 }
 
-__global__ void __launch_bounds__(Policy::edge_threads) place(int m, Scratch s) {
+__global__ void __launch_bounds__(Policy::edge_threads) place(Scratch s) {
   const int e = static_cast<int>(blockIdx.x * blockDim.x + threadIdx.x);
-  if (e >= m) return;
+  if (e >= s.m) return;
   const int2 at = s.cell_and_rank[e];
   s.order[s.starts[at.x] + at.y] = e;
 }
@@ -202,19 +204,6 @@ __device__ __forceinline__ PairMotion relative(const EdgeMotion& p, const EdgeMo
     return Moving{start, (to1 - from1) - start};
   };
   return {moving(p.a0, p.b0, p.a1, p.b1), moving(q.a0, q.b0, q.a1, q.b1), moving(p.a0, q.a0, p.a1, q.a1)};
-}
-
-// Whether each end of q stays on the same side of each end of p along an axis: then so do the edges. Signs of
-// float32 differences are exact, so nothing that meets is lost.
-__device__ __forceinline__ bool apart(const EdgeMotion& p, const EdgeMotion& q) {
-  const auto along = [](float a0, float b0, float a1, float b1, float c0, float d0, float c1, float d1) {
-    const float low0 = fminf(c0, d0) - fmaxf(a0, b0), low1 = fminf(c1, d1) - fmaxf(a1, b1);
-    const float high0 = fmaxf(c0, d0) - fminf(a0, b0), high1 = fmaxf(c1, d1) - fminf(a1, b1);
-    return fminf(low0, low1) > 0.0f || fmaxf(high0, high1) < 0.0f;
-  };
-  return along(p.a0.x, p.b0.x, p.a1.x, p.b1.x, q.a0.x, q.b0.x, q.a1.x, q.b1.x) ||
-         along(p.a0.y, p.b0.y, p.a1.y, p.b1.y, q.a0.y, q.b0.y, q.a1.y, q.b1.y) ||
-         along(p.a0.z, p.b0.z, p.a1.z, p.b1.z, q.a0.z, q.b0.z, q.a1.z, q.b1.z);
 }
 
 // Whether the point where the lines of two coplanar edges cross lies on both of them.
@@ -276,11 +265,8 @@ __device__ __noinline__ int examine(const Scratch& s, float* toi, int2* crossing
                                     int lane, bool mine, int2 pair) {
   bool crossing = false;
   if (mine) {
-    const EdgeMotion p = load_motion(s, pair.x), q = load_motion(s, pair.y);
-    if (!apart(p, q)) {
-      const PairMotion r = relative(p, q);
-      crossing = !collision::keeps_its_sign(collision::triple_product(r.w, r.u, r.v));
-    }
+    const PairMotion r = relative(load_motion(s, pair.x), load_motion(s, pair.y));
+    crossing = !collision::keeps_its_sign(collision::triple_product(r.w, r.u, r.v));
   }
   crossings = append(crossing_queue, crossings, crossing, pair, lane);
   if (crossings >= 32) {
@@ -403,14 +389,14 @@ __device__ __forceinline__ void visit_neighbours(const Grid& grid, const Scratch
 
 // Large boxes, which stand behind the others, against every box: a warp takes a box and a chunk of
 // candidates.
-__device__ __forceinline__ void visit_large(const Scratch& s, Narrow& narrow, int m, int small, int warp,
-                                            int warps, int lane) {
-  const int chunks = (m + Policy::large_chunk - 1) / Policy::large_chunk;
-  const long long items = static_cast<long long>(m - small) * chunks;
+__device__ __forceinline__ void visit_large(const Scratch& s, Narrow& narrow, int small, int warp, int warps,
+                                            int lane) {
+  const int chunks = (s.m + Policy::large_chunk - 1) / Policy::large_chunk;
+  const long long items = static_cast<long long>(s.m - small) * chunks;
   for (long long item = warp; item < items; item += warps) {
     const int i = small + static_cast<int>(item / chunks);
     const int begin = static_cast<int>(item % chunks) * Policy::large_chunk;
-    const int stop = min(begin + Policy::large_chunk, m);
+    const int stop = min(begin + Policy::large_chunk, s.m);
     const Entry mine = load_entry(s, i);
     for (int base = begin; base < stop; base += 32) {
       const int j = base + lane;
@@ -421,11 +407,11 @@ __device__ __forceinline__ void visit_large(const Scratch& s, Narrow& narrow, in
   }
 }
 
-__global__ void __launch_bounds__(Policy::impact_threads)
-    impacts(int m, const __grid_constant__ Scratch s, float* toi) {
+__global__ void __launch_bounds__(Policy::impact_threads, Policy::resident_warps / Policy::warps)
+    impacts(const __grid_constant__ Scratch s, float* toi) {
   __shared__ Grid grid;
   __shared__ Queues queues[Policy::warps];
-  if (threadIdx.x == 0) grid = collision::make_grid(*s.sums, m, s.cell_capacity, grid_shape());
+  if (threadIdx.x == 0) grid = collision::make_grid(*s.sums, s.m, s.cell_capacity, grid_shape());
   __syncthreads();
   const int lane = static_cast<int>(threadIdx.x) % 32, warp_of_block = static_cast<int>(threadIdx.x) / 32;
   const int warp = static_cast<int>(blockIdx.x) * Policy::warps + warp_of_block;
@@ -433,7 +419,7 @@ __global__ void __launch_bounds__(Policy::impact_threads)
   const int small = s.starts[s.cell_capacity];
   Narrow narrow(s, toi, queues[warp_of_block], lane);
   if (static_cast<long long>(warp) * 32 < small) visit_neighbours(grid, s, narrow, warp * 32 + lane, small);
-  visit_large(s, narrow, m, small, warp, warps, lane);
+  visit_large(s, narrow, small, warp, warps, lane);
   narrow.finish();
 }
 
@@ -469,7 +455,8 @@ class Reference {
                     order_.get(),
                     boxes_.get(),
                     positions_.get(),
-                    static_cast<int>(cells_)};
+                    static_cast<int>(cells_),
+                    m};
     GPUPHYS_CUDA(cudaMemsetAsync(counters_.get(), 0,
                                  sizeof(std::int32_t) * static_cast<std::size_t>(kSumsWords + cells_ + 1)));
     const unsigned blocks = blocks_for(m, Policy::edge_threads);
@@ -477,9 +464,9 @@ class Reference {
     sums<<<few, Policy::edge_threads>>>(mesh, s, out.toi.data);
     count<<<few, Policy::edge_threads>>>(mesh, s);
     primitives::exclusive_sum(scan_.get(), scan_bytes_, s.starts, s.starts, cells_ + 1);
-    place<<<blocks, Policy::edge_threads>>>(m, s);
+    place<<<blocks, Policy::edge_threads>>>(s);
     gather<<<blocks, Policy::edge_threads>>>(mesh, s);
-    impacts<<<blocks_for(m, Policy::impact_threads), Policy::impact_threads>>>(m, s, out.toi.data);
+    impacts<<<blocks_for(m, Policy::impact_threads), Policy::impact_threads>>>(s, out.toi.data);
   }
 
  private:
