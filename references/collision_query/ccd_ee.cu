@@ -222,9 +222,9 @@ struct Queues {
   int2 crossing[64];
 };
 
-__device__ __forceinline__ int append(int2* queue, int count, bool hit, int2 pair, int lane) {
-  const unsigned hits = __ballot_sync(kAllLanes, hit);
-  if (hit) queue[count + __popc(hits & ((1u << lane) - 1u))] = pair;
+// Adds the pairs of the lanes in `hits` to a queue of `count`.
+__device__ __forceinline__ int append(int2* queue, int count, unsigned hits, int2 pair, int lane) {
+  if (hits >> lane & 1u) queue[count + __popc(hits & ((1u << lane) - 1u))] = pair;
   __syncwarp();
   return count + __popc(hits);
 }
@@ -268,7 +268,7 @@ __device__ __noinline__ int examine(const Scratch& s, float* toi, int2* crossing
     const PairMotion r = relative(load_motion(s, pair.x), load_motion(s, pair.y));
     crossing = !collision::keeps_its_sign(collision::triple_product(r.w, r.u, r.v));
   }
-  crossings = append(crossing_queue, crossings, crossing, pair, lane);
+  crossings = append(crossing_queue, crossings, __ballot_sync(kAllLanes, crossing), pair, lane);
   if (crossings >= 32) {
     crossings -= 32;
     resolve(s, toi, true, take(crossing_queue, crossings, lane));
@@ -283,7 +283,9 @@ class Narrow {
 
   // All lanes call it; those with `hit` bring the pair of places (i, j).
   __device__ __forceinline__ void add(bool hit, int i, int j) {
-    overlaps_ = append(queues_.overlapping, overlaps_, hit, {i, j}, lane_);
+    const unsigned hits = __ballot_sync(kAllLanes, hit);
+    if (hits == 0) return;
+    overlaps_ = append(queues_.overlapping, overlaps_, hits, {i, j}, lane_);
     if (overlaps_ >= 32) {
       overlaps_ -= 32;
       crossings_ = examine(s_, toi_, queues_.crossing, crossings_, lane_, true,
@@ -322,19 +324,13 @@ __device__ __forceinline__ Entry load_entry(const Scratch& s, int place) {
   return {__ldg(b), __ldg(b + 1)};
 }
 
-__device__ __forceinline__ bool overlap(const Entry& p, const Entry& q) {
-  return p.low.x <= q.high.x && q.low.x <= p.high.x && p.low.y <= q.high.y && q.low.y <= p.high.y &&
-         p.low.z <= q.high.z && q.low.z <= p.high.z;
-}
-
-__device__ __forceinline__ bool share_a_vertex(const Entry& p, const Entry& q) {
+// Boxes overlap and their edges share no vertex. No short cuts: ten comparisons cost less than a branch.
+__device__ __forceinline__ bool is_candidate(const Entry& p, const Entry& q) {
+  const bool overlap = (p.low.x <= q.high.x) & (q.low.x <= p.high.x) & (p.low.y <= q.high.y) &
+                       (q.low.y <= p.high.y) & (p.low.z <= q.high.z) & (q.low.z <= p.high.z);
   const int a = __float_as_int(p.low.w), b = __float_as_int(p.high.w);
   const int c = __float_as_int(q.low.w), d = __float_as_int(q.high.w);
-  return a == c || a == d || b == c || b == d;
-}
-
-__device__ __forceinline__ bool is_candidate(const Entry& p, const Entry& q) {
-  return overlap(p, q) && !share_a_vertex(p, q);
+  return overlap & (a != c) & (a != d) & (b != c) & (b != d);
 }
 
 // The pairs of 32 places in a row, `i` of this lane (at or beyond `end`: none).
@@ -361,6 +357,7 @@ __device__ __forceinline__ void visit_neighbours(const Grid& grid, const Scratch
     const bool walks = present && own_row == __shfl_sync(kAllLanes, own_row, leader);
     const unsigned walkers = __ballot_sync(kAllLanes, walks);
     todo &= ~walkers;
+    const int below = walks ? i : 0x7fffffff;  // partners have higher places
     // All rows before their own hold lower places only.
     const int first_z = __shfl_sync(kAllLanes, own_z, leader),
               first_y = __shfl_sync(kAllLanes, own_y, leader);
@@ -378,8 +375,7 @@ __device__ __forceinline__ void visit_neighbours(const Grid& grid, const Scratch
         Entry other = load_entry(s, begin);
         for (int j = begin; j < stop; ++j) {
           const Entry next = load_entry(s, min(j + 1, stop - 1));  // under way while this one is compared
-          const bool hit = walks && j > i && is_candidate(mine, other);
-          if (__any_sync(kAllLanes, hit)) narrow.add(hit, i, j);
+          narrow.add((j > below) & is_candidate(mine, other), i, j);
           other = next;
         }
       }
@@ -402,7 +398,7 @@ __device__ __forceinline__ void visit_large(const Scratch& s, Narrow& narrow, in
       const int j = base + lane;
       // Two large boxes meet once.
       const bool hit = j < stop && (j < small || j > i) && is_candidate(mine, load_entry(s, j));
-      if (__any_sync(kAllLanes, hit)) narrow.add(hit, i, j);
+      narrow.add(hit, i, j);
     }
   }
 }
@@ -434,7 +430,7 @@ class Reference {
     if (m > (std::int64_t{1} << 29) || in.x0.shape[0] > (std::int64_t{1} << 30))
       throw std::runtime_error("ccd_ee: too many edges or vertices for 32-bit places");
     const std::size_t count = static_cast<std::size_t>(m);
-    cells_ = 2 * m + collision::kLeastCells;
+    cells_ = m + collision::kLeastCells;
     // The sums stand before the counts, so that one memset clears both.
     counters_ = DeviceBuffer<std::int32_t>(static_cast<std::size_t>(kSumsWords + cells_ + 1));
     cell_and_rank_ = DeviceBuffer<int2>(count);
