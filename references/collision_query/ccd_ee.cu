@@ -1,0 +1,485 @@
+// ccd_ee in FP32: the time of the first impact of every edge with another one.
+//
+// 1. sums: one thread an edge; bounding box of the centres and mean extent of the swept boxes.
+// 2. count: one thread an edge; its cell and its rank in it. A scan turns the counts into the cells' starts.
+// 3. place, gather: edges in the order of their cells; one thread a place fetches the ends once and writes a
+//    box (32 bytes, with the two vertices) and the relative motion's raw positions (48 bytes).
+// 4. impacts: a warp owns 32 places in a row. It walks the cells within reach of any of them; each candidate
+// is
+//    loaded once, the same for all lanes, and every lane compares it with its own box. Pairs are met once,
+//    from the lower place. Those whose boxes overlap and that share no vertex go to a queue of the warp in
+//    shared memory and are examined 32 at a time: a cubic whose Bernstein coefficients have one sign is
+//    dropped, the rest goes to a second queue, from which 32 at a time are bisected. So the long instruction
+//    streams run with full warps although few candidates get that far.
+//
+// What bounds it: the broad phase. Of the paper's public input 9.1 M pairs of boxes overlap, 6.1 M of them of
+// edges with a vertex in common; 3.0 M are examined, 1.3 M have a cubic that may change its sign, 0.39 M
+// events are found (counted on the host). references/collision_query/NOTES.md has the prediction stage by
+// stage.
+#include <cstddef>
+#include <cstdint>
+#include <stdexcept>
+
+#include "cases/collision_query/ccd_ee.hpp"
+#include "references/collision_query/cubic_toi.cuh"
+#include "references/collision_query/swept_broad_phase.cuh"
+#include "references/common/device_buffer.cuh"
+#include "references/common/primitives.hpp"
+
+namespace gpuphys::ccd_ee {
+namespace {
+
+using collision::Cubic;
+using collision::Grid;
+using collision::Moving;
+using collision::SceneSums;
+using collision::SweptBox;
+using collision::operator-;
+
+struct Policy {
+#ifdef GPUPHYS_OTHER_BLOCKS
+  static constexpr int edge_threads = 128;  // one thread an edge
+  static constexpr int warps = 2;           // of a block of `impacts`
+  static constexpr float cell_over_extent = 0.7f;
+  static constexpr float large_over_extent = 8.0f;
+#else
+  static constexpr int edge_threads = 256;
+  static constexpr int warps = 4;
+  static constexpr float cell_over_extent =
+      1.0f;  // smaller: fewer candidates, more and shorter rows of cells
+  static constexpr float large_over_extent = 4.0f;
+#endif
+  static constexpr int edge_blocks = 132 * 8;  // at most, each thread then takes several edges
+  static constexpr int large_chunk = 1024;     // candidates of a large box that a warp takes at a time
+  static constexpr int resident_warps = 24;    // of `impacts` on an SM: 80 registers a thread
+  static constexpr int impact_threads = 32 * warps;
+};
+
+constexpr unsigned kAllLanes = 0xffffffffu;
+
+struct Mesh {
+  const float* __restrict__ x0;
+  const float* __restrict__ x1;
+  const std::int32_t* __restrict__ edges;
+  int m;
+};
+
+// The ends of an edge at both times.
+struct EdgeMotion {
+  float3 a0, b0, a1, b1;
+};
+
+__device__ __forceinline__ float3 position(const float* __restrict__ x, int v) {
+  const float* p = x + 3 * static_cast<std::ptrdiff_t>(v);
+  return {p[0], p[1], p[2]};
+}
+
+__device__ __forceinline__ int2 ends_of(const Mesh& mesh, int e) {
+  return {mesh.edges[2 * static_cast<std::ptrdiff_t>(e)], mesh.edges[2 * static_cast<std::ptrdiff_t>(e) + 1]};
+}
+
+__device__ __forceinline__ EdgeMotion motion_of(const Mesh& mesh, int2 ends) {
+  return {position(mesh.x0, ends.x), position(mesh.x0, ends.y), position(mesh.x1, ends.x),
+          position(mesh.x1, ends.y)};
+}
+
+__device__ __forceinline__ SweptBox box_of(const EdgeMotion& e) {
+  return collision::box_of(e.a0, e.b0, e.a1, e.b1);
+}
+
+// What passes between the kernels.
+struct Scratch {
+  SceneSums* sums;
+  std::int32_t* starts;        // per cell: the count, after the scan the first place; one more for the large
+  int2* cell_and_rank;         // per edge
+  std::int32_t* order;         // per place: the edge
+  float4* __restrict__ boxes;  // per place: two, lower and upper corner with the two vertices
+  float4* __restrict__ positions;  // per place: three, a0 b0 a1 b1
+  int cell_capacity;
+  int m;  // edges
+};
+
+__device__ __forceinline__ collision::GridShape grid_shape() {
+  return {Policy::cell_over_extent, Policy::large_over_extent};
+}
+
+__global__ void __launch_bounds__(Policy::edge_threads) sums(Mesh mesh, Scratch s, float* toi) {
+  __shared__ unsigned codes[6];
+  __shared__ float extents;
+  if (threadIdx.x < 6) codes[threadIdx.x] = 0;
+  if (threadIdx.x == 0) extents = 0.0f;
+  __syncthreads();
+  unsigned low[3] = {0, 0, 0}, high[3] = {0, 0, 0};
+  float extent = 0.0f;
+  const int stride = static_cast<int>(gridDim.x * blockDim.x);
+  for (int e = static_cast<int>(blockIdx.x * blockDim.x + threadIdx.x); e < mesh.m; e += stride) {
+    toi[e] = 1.0f;
+    const SweptBox box = box_of(motion_of(mesh, ends_of(mesh, e)));
+    extent += box.extent();
+    for (int d = 0; d < 3; ++d) {
+      low[d] = max(low[d], collision::encode(-box.centre(d)));
+      high[d] = max(high[d], collision::encode(box.centre(d)));
+    }
+  }
+  extent = collision::warp_sum(extent);
+  for (int d = 0; d < 3; ++d) {
+    low[d] = collision::warp_max(low[d]);
+    high[d] = collision::warp_max(high[d]);
+  }
+  if (threadIdx.x % 32 == 0) {
+    for (int d = 0; d < 3; ++d) {
+      atomicMax(&codes[d], low[d]);
+      atomicMax(&codes[3 + d], high[d]);
+    }
+    atomicAdd(&extents, extent);
+  }
+  __syncthreads();
+  if (threadIdx.x < 3) atomicMax(&s.sums->low_code[threadIdx.x], codes[threadIdx.x]);
+  if (threadIdx.x >= 3 && threadIdx.x < 6) atomicMax(&s.sums->high_code[threadIdx.x - 3], codes[threadIdx.x]);
+  if (threadIdx.x == 6) atomicAdd(&s.sums->extent_sum, extents);
+}
+
+__global__ void __launch_bounds__(Policy::edge_threads) count(Mesh mesh, Scratch s) {
+  __shared__ Grid grid;
+  __shared__ unsigned codes[3];
+  if (threadIdx.x < 3) codes[threadIdx.x] = 0;
+  if (threadIdx.x == 0) grid = collision::make_grid(*s.sums, mesh.m, s.cell_capacity, grid_shape());
+  __syncthreads();
+  unsigned reach[3] = {0, 0, 0};
+  const int stride = static_cast<int>(gridDim.x * blockDim.x);
+  for (int e = static_cast<int>(blockIdx.x * blockDim.x + threadIdx.x); e < mesh.m; e += stride) {
+    const SweptBox box = box_of(motion_of(mesh, ends_of(mesh, e)));
+    const int cell = collision::cell_of(grid, box, s.cell_capacity);
+    s.cell_and_rank[e] = {cell, atomicAdd(&s.starts[cell], 1)};
+    if (cell == s.cell_capacity) continue;
+    for (int d = 0; d < 3; ++d) {
+      const float half = fmaxf(box.high[d] - box.centre(d), box.centre(d) - box.low[d]);
+      reach[d] = max(reach[d], collision::encode(half));
+    }
+  }
+  for (int d = 0; d < 3; ++d) {
+    reach[d] = collision::warp_max(reach[d]);
+    if (threadIdx.x % 32 == 0) atomicMax(&codes[d], reach[d]);
+  }
+  __syncthreads();
+  if (threadIdx.x < 3) atomicMax(&s.sums->reach_code[threadIdx.x], codes[threadIdx.x]);
+}
+
+__global__ void __launch_bounds__(Policy::edge_threads) place(Scratch s) {
+  const int e = static_cast<int>(blockIdx.x * blockDim.x + threadIdx.x);
+  if (e >= s.m) return;
+  const int2 at = s.cell_and_rank[e];
+  s.order[s.starts[at.x] + at.y] = e;
+}
+
+__global__ void __launch_bounds__(Policy::edge_threads) gather(Mesh mesh, Scratch s) {
+  const int p = static_cast<int>(blockIdx.x * blockDim.x + threadIdx.x);
+  if (p >= mesh.m) return;
+  const int2 ends = ends_of(mesh, s.order[p]);
+  const EdgeMotion e = motion_of(mesh, ends);
+  const SweptBox box = box_of(e);
+  float4* b = s.boxes + 2 * static_cast<std::ptrdiff_t>(p);
+  b[0] = {box.low[0], box.low[1], box.low[2], __int_as_float(ends.x)};
+  b[1] = {box.high[0], box.high[1], box.high[2], __int_as_float(ends.y)};
+  float4* x = s.positions + 3 * static_cast<std::ptrdiff_t>(p);
+  x[0] = {e.a0.x, e.a0.y, e.a0.z, e.b0.x};
+  x[1] = {e.b0.y, e.b0.z, e.a1.x, e.a1.y};
+  x[2] = {e.a1.z, e.b1.x, e.b1.y, e.b1.z};
+}
+
+__device__ __forceinline__ EdgeMotion load_motion(const Scratch& s, int place) {
+  const float4* x = s.positions + 3 * static_cast<std::ptrdiff_t>(place);
+  const float4 p = __ldg(x), q = __ldg(x + 1), r = __ldg(x + 2);
+  return {{p.x, p.y, p.z}, {p.w, q.x, q.y}, {q.z, q.w, r.x}, {r.y, r.z, r.w}};
+}
+
+// A pair's relative motion: u and v along the edges, w between their first ends.
+struct PairMotion {
+  Moving u, v, w;
+};
+
+__device__ __forceinline__ PairMotion relative(const EdgeMotion& p, const EdgeMotion& q) {
+  const auto moving = [](float3 from0, float3 to0, float3 from1, float3 to1) {
+    const float3 start = to0 - from0;
+    return Moving{start, (to1 - from1) - start};
+  };
+  return {moving(p.a0, p.b0, p.a1, p.b1), moving(q.a0, q.b0, q.a1, q.b1), moving(p.a0, q.a0, p.a1, q.a1)};
+}
+
+// Whether the point where the lines of two coplanar edges cross lies on both of them.
+__device__ __forceinline__ bool meet(float3 u, float3 v, float3 w) {
+  const float3 n = collision::cross(u, v);
+  const float nn = collision::dot(n, n);
+  const float s = collision::dot(collision::cross(w, v), n);  // times nn
+  const float r = collision::dot(collision::cross(w, u), n);
+  const bool crossing = nn > 1e-12f * (collision::dot(u, u) * collision::dot(v, v));
+  return crossing && s >= 0.0f && s <= nn && r >= 0.0f && r <= nn;
+}
+
+// Two queues of pairs in shared memory, those to examine and those to bisect, filled and emptied by one warp.
+struct Queues {
+  int2 overlapping[64];
+  int2 crossing[64];
+};
+
+// Adds the pairs of the lanes in `hits` to a queue of `count`.
+__device__ __forceinline__ int append(int2* queue, int count, unsigned hits, int2 pair, int lane) {
+  if (hits >> lane & 1u) queue[count + __popc(hits & ((1u << lane) - 1u))] = pair;
+  __syncwarp();
+  return count + __popc(hits);
+}
+
+__device__ __forceinline__ int2 take(const int2* queue, int first, int lane) {
+  const int2 pair = queue[first + lane];
+  __syncwarp();
+  return pair;
+}
+
+// Floats that are not negative are ordered as their bits are.
+__device__ __forceinline__ void record(float* toi, int edge, float t) {
+  atomicMin(reinterpret_cast<int*>(toi + edge), __float_as_int(t));
+}
+
+// Times of the pairs of a warp; lanes without one have `mine` unset.
+__device__ __noinline__ void resolve(const Scratch& s, float* toi, bool mine, int2 pair) {
+  if (mine) {
+    // The edge of the lower number comes first, whatever the order in a cell: rounding does not depend on it.
+    const int e = s.order[pair.x], f = s.order[pair.y];
+    const bool swap = f < e;
+    const EdgeMotion p = load_motion(s, swap ? pair.y : pair.x), q = load_motion(s, swap ? pair.x : pair.y);
+    const PairMotion r = relative(p, q);
+    const Cubic volume = collision::triple_product(r.w, r.u, r.v);
+    const float t =
+        collision::first_crossing(volume, [&](float at) { return meet(r.u.at(at), r.v.at(at), r.w.at(at)); });
+    if (t < 1.0f) {
+      record(toi, e, t);
+      record(toi, f, t);
+    }
+  }
+  __syncwarp();
+}
+
+// Queues those of a warp's pairs that may be coplanar at some time; returns how many the second queue holds
+// then.
+__device__ __noinline__ int examine(const Scratch& s, float* toi, int2* crossing_queue, int crossings,
+                                    int lane, bool mine, int2 pair) {
+  bool crossing = false;
+  if (mine) {
+    const PairMotion r = relative(load_motion(s, pair.x), load_motion(s, pair.y));
+    crossing = !collision::keeps_its_sign(collision::triple_product(r.w, r.u, r.v));
+  }
+  crossings = append(crossing_queue, crossings, __ballot_sync(kAllLanes, crossing), pair, lane);
+  if (crossings >= 32) {
+    crossings -= 32;
+    resolve(s, toi, true, take(crossing_queue, crossings, lane));
+  }
+  return crossings;
+}
+
+class Narrow {
+ public:
+  __device__ __forceinline__ Narrow(const Scratch& s, float* toi, Queues& queues, int lane)
+      : s_(s), toi_(toi), queues_(queues), lane_(lane) {}
+
+  // All lanes call it; those with `hit` bring the pair of places (i, j).
+  __device__ __forceinline__ void add(bool hit, int i, int j) {
+    const unsigned hits = __ballot_sync(kAllLanes, hit);
+    if (hits == 0) return;
+    overlaps_ = append(queues_.overlapping, overlaps_, hits, {i, j}, lane_);
+    if (overlaps_ >= 32) {
+      overlaps_ -= 32;
+      crossings_ = examine(s_, toi_, queues_.crossing, crossings_, lane_, true,
+                           take(queues_.overlapping, overlaps_, lane_));
+    }
+  }
+
+  // What is left at the end: fewer than 32 pairs in each queue.
+  __device__ __forceinline__ void finish() {
+    if (overlaps_ > 0) {
+      const bool mine = lane_ < overlaps_;
+      const int2 pair = queues_.overlapping[mine ? lane_ : 0];
+      crossings_ = examine(s_, toi_, queues_.crossing, crossings_, lane_, mine, pair);
+    }
+    if (crossings_ > 0) {
+      const bool mine = lane_ < crossings_;
+      resolve(s_, toi_, mine, queues_.crossing[mine ? lane_ : 0]);
+    }
+  }
+
+ private:
+  const Scratch& s_;
+  float* toi_;
+  Queues& queues_;
+  int lane_;
+  int overlaps_ = 0, crossings_ = 0;
+};
+
+// A box with the two vertices of its edge.
+struct Entry {
+  float4 low, high;
+};
+
+__device__ __forceinline__ Entry load_entry(const Scratch& s, int place) {
+  const float4* b = s.boxes + 2 * static_cast<std::ptrdiff_t>(place);
+  return {__ldg(b), __ldg(b + 1)};
+}
+
+// Boxes overlap and their edges share no vertex. No short cuts: ten comparisons cost less than a branch.
+__device__ __forceinline__ bool is_candidate(const Entry& p, const Entry& q) {
+  const bool overlap = (p.low.x <= q.high.x) & (q.low.x <= p.high.x) & (p.low.y <= q.high.y) &
+                       (q.low.y <= p.high.y) & (p.low.z <= q.high.z) & (q.low.z <= p.high.z);
+  const int a = __float_as_int(p.low.w), b = __float_as_int(p.high.w);
+  const int c = __float_as_int(q.low.w), d = __float_as_int(q.high.w);
+  return overlap & (a != c) & (a != d) & (b != c) & (b != d);
+}
+
+// The pairs of 32 places in a row, `i` of this lane (at or beyond `end`: none).
+__device__ __forceinline__ void visit_neighbours(const Grid& grid, const Scratch& s, Narrow& narrow, int i,
+                                                 int end) {
+  Entry mine{};
+  int x[2] = {0, 0}, y[2] = {0, 0}, z[2] = {0, 0}, own_y = 0, own_z = 0;
+  const bool present = i < end;
+  if (present) {
+    mine = load_entry(s, i);
+    const SweptBox box{{mine.low.x, mine.low.y, mine.low.z}, {mine.high.x, mine.high.y, mine.high.z}};
+    x[0] = grid.coordinate(box.low[0] - grid.reach[0], 0);
+    x[1] = grid.coordinate(box.high[0] + grid.reach[0], 0);
+    y[0] = grid.coordinate(box.low[1] - grid.reach[1], 1);
+    y[1] = grid.coordinate(box.high[1] + grid.reach[1], 1);
+    z[1] = grid.coordinate(box.high[2] + grid.reach[2], 2);
+    own_y = grid.coordinate(box.centre(1), 1);
+    own_z = grid.coordinate(box.centre(2), 2);
+  }
+  const int own_row = grid.row(own_y, own_z);
+  // Lanes whose boxes lie in the same row of cells walk together.
+  for (unsigned todo = __ballot_sync(kAllLanes, present); todo != 0;) {
+    const int leader = __ffs(static_cast<int>(todo)) - 1;
+    const bool walks = present && own_row == __shfl_sync(kAllLanes, own_row, leader);
+    const unsigned walkers = __ballot_sync(kAllLanes, walks);
+    todo &= ~walkers;
+    const int below = walks ? i : 0x7fffffff;  // partners have higher places
+    // All rows before their own hold lower places only.
+    const int first_z = __shfl_sync(kAllLanes, own_z, leader),
+              first_y = __shfl_sync(kAllLanes, own_y, leader);
+    const int after = __shfl_sync(kAllLanes, i, leader) + 1;
+    const int low_x = __reduce_min_sync(kAllLanes, walks ? x[0] : 0x7fffffff);
+    const int high_x = __reduce_max_sync(kAllLanes, walks ? x[1] : -1);
+    const int low_y = __reduce_min_sync(kAllLanes, walks ? y[0] : 0x7fffffff);
+    const int high_y = __reduce_max_sync(kAllLanes, walks ? y[1] : -1);
+    const int high_z = __reduce_max_sync(kAllLanes, walks ? z[1] : -1);
+    for (int cz = first_z; cz <= high_z; ++cz) {
+      for (int cy = cz == first_z ? first_y : low_y; cy <= high_y; ++cy) {
+        const int row = grid.row(cy, cz);
+        const int begin = max(s.starts[row + low_x], after), stop = s.starts[row + high_x + 1];
+        if (begin >= stop) continue;
+        Entry other = load_entry(s, begin);
+        for (int j = begin; j < stop; ++j) {
+          const Entry next = load_entry(s, min(j + 1, stop - 1));  // under way while this one is compared
+          narrow.add((j > below) & is_candidate(mine, other), i, j);
+          other = next;
+        }
+      }
+    }
+  }
+}
+
+// Large boxes, which stand behind the others, against every box: a warp takes a box and a chunk of
+// candidates.
+__device__ __forceinline__ void visit_large(const Scratch& s, Narrow& narrow, int small, int warp, int warps,
+                                            int lane) {
+  const int chunks = (s.m + Policy::large_chunk - 1) / Policy::large_chunk;
+  const long long items = static_cast<long long>(s.m - small) * chunks;
+  for (long long item = warp; item < items; item += warps) {
+    const int i = small + static_cast<int>(item / chunks);
+    const int begin = static_cast<int>(item % chunks) * Policy::large_chunk;
+    const int stop = min(begin + Policy::large_chunk, s.m);
+    const Entry mine = load_entry(s, i);
+    for (int base = begin; base < stop; base += 32) {
+      const int j = base + lane;
+      // Two large boxes meet once.
+      const bool hit = j < stop && (j < small || j > i) && is_candidate(mine, load_entry(s, j));
+      narrow.add(hit, i, j);
+    }
+  }
+}
+
+__global__ void __launch_bounds__(Policy::impact_threads, Policy::resident_warps / Policy::warps)
+    impacts(const __grid_constant__ Scratch s, float* toi) {
+  __shared__ Grid grid;
+  __shared__ Queues queues[Policy::warps];
+  if (threadIdx.x == 0) grid = collision::make_grid(*s.sums, s.m, s.cell_capacity, grid_shape());
+  __syncthreads();
+  const int lane = static_cast<int>(threadIdx.x) % 32, warp_of_block = static_cast<int>(threadIdx.x) / 32;
+  const int warp = static_cast<int>(blockIdx.x) * Policy::warps + warp_of_block;
+  const int warps = static_cast<int>(gridDim.x) * Policy::warps;
+  const int small = s.starts[s.cell_capacity];
+  Narrow narrow(s, toi, queues[warp_of_block], lane);
+  if (static_cast<long long>(warp) * 32 < small) visit_neighbours(grid, s, narrow, warp * 32 + lane, small);
+  visit_large(s, narrow, small, warp, warps, lane);
+  narrow.finish();
+}
+
+unsigned blocks_for(std::int64_t n, int per_block) {
+  return static_cast<unsigned>((n + per_block - 1) / per_block);
+}
+
+class Reference {
+ public:
+  void allocate(const Inputs& in, const Outputs<float>&) {
+    const std::int64_t m = in.edges.shape[0];
+    if (m > (std::int64_t{1} << 29) || in.x0.shape[0] > (std::int64_t{1} << 30))
+      throw std::runtime_error("ccd_ee: too many edges or vertices for 32-bit places");
+    const std::size_t count = static_cast<std::size_t>(m);
+    cells_ = m + collision::kLeastCells;
+    // The sums stand before the counts, so that one memset clears both.
+    counters_ = DeviceBuffer<std::int32_t>(static_cast<std::size_t>(kSumsWords + cells_ + 1));
+    cell_and_rank_ = DeviceBuffer<int2>(count);
+    order_ = DeviceBuffer<std::int32_t>(count);
+    boxes_ = DeviceBuffer<float4>(2 * count);
+    positions_ = DeviceBuffer<float4>(3 * count);
+    scan_bytes_ = primitives::exclusive_sum_bytes(cells_ + 1);
+    scan_ = DeviceBuffer<unsigned char>(scan_bytes_);
+  }
+
+  void compute(const Inputs& in, const Outputs<float>& out) {
+    const int m = static_cast<int>(in.edges.shape[0]);
+    if (m == 0) return;
+    const Mesh mesh{in.x0.data, in.x1.data, in.edges.data, m};
+    const Scratch s{reinterpret_cast<SceneSums*>(counters_.get()),
+                    counters_.get() + kSumsWords,
+                    cell_and_rank_.get(),
+                    order_.get(),
+                    boxes_.get(),
+                    positions_.get(),
+                    static_cast<int>(cells_),
+                    m};
+    GPUPHYS_CUDA(cudaMemsetAsync(counters_.get(), 0,
+                                 sizeof(std::int32_t) * static_cast<std::size_t>(kSumsWords + cells_ + 1)));
+    const unsigned blocks = blocks_for(m, Policy::edge_threads);
+    const unsigned few = min(blocks, static_cast<unsigned>(Policy::edge_blocks));
+    sums<<<few, Policy::edge_threads>>>(mesh, s, out.toi.data);
+    count<<<few, Policy::edge_threads>>>(mesh, s);
+    primitives::exclusive_sum(scan_.get(), scan_bytes_, s.starts, s.starts, cells_ + 1);
+    place<<<blocks, Policy::edge_threads>>>(s);
+    gather<<<blocks, Policy::edge_threads>>>(mesh, s);
+    impacts<<<blocks_for(m, Policy::impact_threads), Policy::impact_threads>>>(s, out.toi.data);
+  }
+
+ private:
+  static constexpr std::int64_t kSumsWords = 64;  // keeps the counts aligned to 256 bytes
+  static_assert(sizeof(SceneSums) <= 4 * kSumsWords);
+
+  std::int64_t cells_ = 0;
+  std::size_t scan_bytes_ = 0;
+  DeviceBuffer<std::int32_t> counters_, order_;
+  DeviceBuffer<int2> cell_and_rank_;
+  DeviceBuffer<float4> boxes_, positions_;
+  DeviceBuffer<unsigned char> scan_;
+};
+
+}  // namespace
+}  // namespace gpuphys::ccd_ee
+
+namespace gpuphys {
+GPUPHYS_DEVICE_MODULE(ccd_ee, ccd_ee::Reference)
+}

@@ -1,0 +1,105 @@
+// When four moving points become coplanar: the triple product w . (u x v) of vectors that move linearly over
+// the step is a cubic in time, here isolated into monotone pieces and bisected.
+#pragma once
+
+#include <cuda_runtime.h>
+
+namespace gpuphys::collision {
+
+__device__ __forceinline__ float3 operator-(float3 a, float3 b) {
+  return {a.x - b.x, a.y - b.y, a.z - b.z};
+}
+__device__ __forceinline__ float dot(float3 a, float3 b) {
+  return a.x * b.x + a.y * b.y + a.z * b.z;
+}
+__device__ __forceinline__ float3 cross(float3 a, float3 b) {
+  return {a.y * b.z - a.z * b.y, a.z * b.x - a.x * b.z, a.x * b.y - a.y * b.x};
+}
+
+/// A vector from `start` at t = 0 that changes by `change` until t = 1.
+struct Moving {
+  float3 start, change;
+  __device__ __forceinline__ float3 at(float t) const {
+    return {start.x + t * change.x, start.y + t * change.y, start.z + t * change.z};
+  }
+};
+
+/// c0 + c1 t + c2 t^2 + c3 t^3.
+struct Cubic {
+  float c0, c1, c2, c3;
+  __device__ __forceinline__ float at(float t) const { return c0 + t * (c1 + t * (c2 + t * c3)); }
+};
+
+/// w(t) . (u(t) x v(t)).
+__device__ __forceinline__ Cubic triple_product(const Moving& w, const Moving& u, const Moving& v) {
+  const float3 n0 = cross(u.start, v.start), n2 = cross(u.change, v.change);
+  const float3 p = cross(u.start, v.change), q = cross(u.change, v.start);
+  const float3 n1 = {p.x + q.x, p.y + q.y, p.z + q.z};
+  Cubic f;
+  f.c0 = dot(w.start, n0);
+  f.c1 = dot(w.start, n1) + dot(w.change, n0);
+  f.c2 = dot(w.start, n2) + dot(w.change, n1);
+  f.c3 = dot(w.change, n2);
+  return f;
+}
+
+/// Whether all Bernstein coefficients over [0, 1] have one strict sign: then so has the cubic, which lies in
+/// their hull.
+__device__ __forceinline__ bool keeps_its_sign(const Cubic& f) {
+  constexpr float third = 1.0f / 3.0f;
+  const float b1 = f.c0 + third * f.c1;
+  const float b2 = f.c0 + third * (2.0f * f.c1 + f.c2);
+  const float b3 = f.c0 + (f.c1 + (f.c2 + f.c3));
+  const float low = fminf(fminf(f.c0, b1), fminf(b2, b3)), high = fmaxf(fmaxf(f.c0, b1), fmaxf(b2, b3));
+  return low > 0.0f || high < 0.0f;
+}
+
+constexpr int kBisections = 30;
+
+/// The change of sign of f in [low, high], on which it is monotone and whose ends differ in sign.
+__device__ __forceinline__ float bisect(const Cubic& f, float low, float high, bool from_below) {
+#pragma unroll 6
+  for (int step = 0; step < kBisections; ++step) {
+    const float middle = 0.5f * (low + high);
+    const bool below = f.at(middle) < 0.0f;
+    low = below == from_below ? middle : low;
+    high = below == from_below ? high : middle;
+  }
+  return 0.5f * (low + high);
+}
+
+/// The first change of sign of f in [0, 1] that `accept(t)` takes; 1 if there is none. Zero counts as
+/// positive.
+template <class Accept>
+__device__ __forceinline__ float first_crossing(const Cubic& f, Accept&& accept) {
+  // Between its ends and the zeros of its derivative f is monotone. A zero outside (0, 1) moves to an end:
+  // its piece is empty.
+  float first = 1.0f, second = 1.0f;
+  const float discriminant = f.c2 * f.c2 - 3.0f * (f.c3 * f.c1);
+  if (discriminant > 0.0f) {
+    const float q = -(f.c2 + copysignf(sqrtf(discriminant), f.c2));
+    const float r0 = q / (3.0f * f.c3), r1 = f.c1 / q;  // an infinite one lies outside
+    const float t0 = r0 > 0.0f && r0 < 1.0f ? r0 : 1.0f, t1 = r1 > 0.0f && r1 < 1.0f ? r1 : 1.0f;
+    first = fminf(t0, t1);
+    second = fmaxf(t0, t1);
+  }
+  float impact = 1.0f, low = 0.0f;
+  bool below = f.c0 < 0.0f;
+#pragma unroll 1
+  for (int piece = 0; piece < 3 && low < 1.0f; ++piece) {
+    const float high = piece == 0 ? first : piece == 1 ? second : 1.0f;
+    const bool ends_below = f.at(high) < 0.0f;
+    if (below != ends_below) {
+      const float t = bisect(f, low, high, below);
+      if (accept(t)) {
+        impact = t;
+        break;
+      }
+    }
+    below = ends_below;
+    low = high;
+  }
+  return impact;
+}
+
+}  // namespace gpuphys::collision
