@@ -354,7 +354,9 @@ __device__ __forceinline__ void visit_neighbours(const Grid& grid, const Scratch
   // Lanes whose boxes lie in the same row of cells walk together.
   for (unsigned todo = __ballot_sync(kAllLanes, present); todo != 0;) {
     const int leader = __ffs(static_cast<int>(todo)) - 1;
-    const bool walks = present && own_row == __shfl_sync(kAllLanes, own_row, leader);
+    const int leading_row =
+        __shfl_sync(kAllLanes, own_row, leader);  // by all lanes, also those without a place
+    const bool walks = present && own_row == leading_row;
     const unsigned walkers = __ballot_sync(kAllLanes, walks);
     todo &= ~walkers;
     const int below = walks ? i : 0x7fffffff;  // partners have higher places
