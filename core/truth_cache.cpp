@@ -154,8 +154,8 @@ Arrays obtain_truth(const Task& task, const InputSet& set, const Problem& proble
     }
   };
 
-  // Files appear whole, so that many processes can read one at the same time; only who has to compute it waits for
-  // whoever may be doing so already.
+  // Files appear whole, so that many processes can read one at the same time; only who has to compute it
+  // waits for whoever may be doing so already.
   if (std::optional<Arrays> truth = cached()) return std::move(*truth);
   const FileLock lock((folder / (name + ".lock")).string());
   if (std::optional<Arrays> truth = cached()) return std::move(*truth);

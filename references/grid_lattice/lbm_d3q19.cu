@@ -3,8 +3,8 @@
 // For every cell: its 19 populations, their density and velocity, relaxation of the even part at 1/tau+ and
 // of the odd part at 1/tau-, and population q stored at the cell that c_q leads to.
 //
-// Mapping: a thread owns one cell, a block whole rows along z (two of the paper's). 19 loads, all issued before
-// the first use, put 68 KB an SM in flight; nothing is read twice.
+// Mapping: a thread owns one cell, a block whole rows along z (two of the paper's). 19 loads, all issued
+// before the first use, put 68 KB an SM in flight; nothing is read twice.
 //
 // What bounds it: DRAM, 152 bytes a cell (19 populations read, 19 written), 2510 MB at paper size: 0.591 ms
 // at the copy rate of an H200. About 470 instructions a cell fill a third of the issue slots at that speed.
