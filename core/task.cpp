@@ -26,6 +26,19 @@ std::size_t edit_distance(const std::string& a, const std::string& b) {
 
 }  // namespace
 
+InputSet hard_case(const std::string& stress, const std::string& about, std::function<Problem()> make,
+                   std::vector<Check> invariants, bool use_task_checks) {
+  InputSet set;
+  set.name = "hard_" + stress;
+  set.kind = SetKind::hard;
+  set.size = Size::smoke;
+  set.about = about;
+  set.make = std::move(make);
+  set.invariants = std::move(invariants);
+  set.use_task_checks = use_task_checks;
+  return set;
+}
+
 std::string to_string(SetKind kind) {
   switch (kind) {
     case SetKind::open:

@@ -65,6 +65,10 @@ struct InputSet {
   std::string truth_source = "serial FP64 baseline";
 };
 
+/// A hard case, called hard_<stress>, of smoke size.
+InputSet hard_case(const std::string& stress, const std::string& about, std::function<Problem()> make,
+                   std::vector<Check> invariants = {}, bool use_task_checks = true);
+
 /// A scalar input that trades accuracy for speed, swept for the speed-against-error report.
 struct AccuracyKnob {
   std::string scalar;

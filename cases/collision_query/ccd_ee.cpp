@@ -203,18 +203,10 @@ Check no_events(std::string why) {
 
 // ---- hard cases ----
 
-InputSet hard(std::string name, std::string about, std::function<Problem()> make,
+InputSet hard(const std::string& stress, const std::string& about, std::function<Problem()> make,
               std::vector<Check> invariants, bool use_task_checks) {
-  InputSet set;
-  set.name = "hard_" + name;
-  set.kind = SetKind::hard;
-  set.size = Size::smoke;
-  set.about = std::move(about);
-  set.make = std::move(make);
-  set.invariants = std::move(invariants);
-  set.invariants.push_back(within_the_step());
-  set.use_task_checks = use_task_checks;
-  return set;
+  invariants.push_back(within_the_step());
+  return hard_case(stress, about, std::move(make), std::move(invariants), use_task_checks);
 }
 
 void add_edge(EdgeMesh& mesh, const Point& a0, const Point& b0, const Point& a1, const Point& b1) {

@@ -333,14 +333,7 @@ double incompatible_level(const Problem& p) {
 const char* const kFiniteWhy = "no value of a well-posed system's solution is NaN or infinite";
 
 InputSet hard(const std::string& stress, const std::string& about, std::function<Problem()> make) {
-  InputSet s;
-  s.name = "hard_" + stress;
-  s.kind = SetKind::hard;
-  s.size = Size::smoke;
-  s.about = about;
-  s.make = std::move(make);
-  s.invariants = {poisson::finite_check(kFiniteWhy)};
-  return s;
+  return hard_case(stress, about, std::move(make), {poisson::finite_check(kFiniteWhy)});
 }
 
 // A hard case on which 1e-6 is not a fair demand: the residual is held against a bound evaluated from its

@@ -111,18 +111,6 @@ InputSet flow_set(const Step& step, std::string name, SetKind kind, Size size, G
   return set;
 }
 
-InputSet hard(std::string name, std::string about, std::function<Problem()> make,
-              std::vector<Check> invariants) {
-  InputSet set;
-  set.name = "hard_" + name;
-  set.kind = SetKind::hard;
-  set.size = Size::smoke;
-  set.about = std::move(about);
-  set.make = std::move(make);
-  set.invariants = std::move(invariants);
-  return set;
-}
-
 }  // namespace
 
 const VelocitySet& velocity_set(int q) {
@@ -201,7 +189,7 @@ std::vector<InputSet> collision_hard_cases(const Step& step) {
   };
   const FlowState flow{5, 2, 0.05, 0.05, 0.25};
   std::vector<InputSet> sets;
-  sets.push_back(hard(
+  sets.push_back(hard_case(
       "tau_near_half", "tau_plus = 1/2 + 1e-4: nearly no viscosity, tau_minus of 1875",
       [=] {
         Problem p = flow_problem(step, {18, 22, 26}, flow);
@@ -209,7 +197,7 @@ std::vector<InputSet> collision_hard_cases(const Step& step) {
         return p;
       },
       conserve));
-  sets.push_back(hard(
+  sets.push_back(hard_case(
       "uniform_equilibrium", "density 1.3 and u = (0.08, -0.05, 0.03) everywhere: a steady state",
       [=] {
         return problem_from(step, {12, 15, 17}, [](auto, auto, auto) {
@@ -217,13 +205,13 @@ std::vector<InputSet> collision_hard_cases(const Step& step) {
         });
       },
       with(conserve, unchanged())));
-  sets.push_back(hard(
+  sets.push_back(hard_case(
       "mach_03", "Mach 0.3: terms of second order in u are a tenth of the equilibrium",
       [=] {
         return flow_problem(step, {18, 22, 26}, {6, 2, 0.3, 0.05, 0.1});
       },
       conserve));
-  sets.push_back(hard(
+  sets.push_back(hard_case(
       "density_contrast", "densities of 1 and 1e-3 in random cells side by side",
       [=] {
         const Grid g{14, 17, 21};
@@ -239,13 +227,13 @@ std::vector<InputSet> collision_hard_cases(const Step& step) {
             0.2, 8);
       },
       with(conserve, error_over_density(step))));
-  sets.push_back(hard(
+  sets.push_back(hard_case(
       "far_from_equilibrium", "populations of 0.05 to 1.95 times their equilibrium: some turn negative",
       [=] {
         return flow_problem(step, {18, 22, 26}, {9, 2, 0.05, 0.05, 0.95});
       },
       conserve));
-  sets.push_back(hard(
+  sets.push_back(hard_case(
       "faint", "densities of 1e-30: the step is of first degree in f, nothing may be flushed or overflow",
       [=] {
         return problem_from(
@@ -258,7 +246,7 @@ std::vector<InputSet> collision_hard_cases(const Step& step) {
       with(conserve, error_over_density(step))));
   // No extent need exceed the reach of a velocity; rows longer than a block of threads must work as well.
   for (const Grid grid : {Grid{1, 1, 1}, Grid{2, 2, 2}, Grid{1, 5, 33}, Grid{7, 1, 9}, Grid{2, 3, 1201}}) {
-    sets.push_back(hard(
+    sets.push_back(hard_case(
         fmt::format("grid_{}x{}x{}", grid.nx, grid.ny, grid.nz),
         "extents at and below the reach of a velocity, odd, or longer than a block of threads",
         [=] { return flow_problem(step, grid, flow); }, conserve));

@@ -119,19 +119,6 @@ Check unchanged() {
           }};
 }
 
-InputSet hard(std::string name, std::string about, std::function<Problem()> make,
-              std::vector<Check> invariants, bool use_task_checks) {
-  InputSet set;
-  set.name = "hard_" + name;
-  set.kind = SetKind::hard;
-  set.size = Size::smoke;
-  set.about = std::move(about);
-  set.make = std::move(make);
-  set.invariants = std::move(invariants);
-  set.use_task_checks = use_task_checks;
-  return set;
-}
-
 // Largest difference of neighbouring samples of any component: how much a point misplaced by one cell can
 // change a value.
 double largest_step(const Problem& p) {
@@ -186,13 +173,13 @@ Check displacement_limited(int velocity_evaluations) {
 
 std::vector<InputSet> hard_cases() {
   std::vector<InputSet> sets;
-  sets.push_back(hard(
+  sets.push_back(hard_case(
       "zero_velocity", "a fluid at rest stays at rest",
       [] {
         return empty_problem({16, 12, 20});
       },
       {unchanged()}, true));
-  sets.push_back(hard(
+  sets.push_back(hard_case(
       "parallel_shear_cfl60", "u = (0, 0, w(x, y)) with random w up to 60 cells a step: a steady solution",
       [] {
         return problem_from({12, 16, 20}, [](int c, std::int64_t i, std::int64_t j, std::int64_t) {
@@ -200,14 +187,14 @@ std::vector<InputSet> hard_cases() {
         });
       },
       {unchanged()}, true));
-  sets.push_back(hard(
+  sets.push_back(hard_case(
       "cfl60",
       "the Fourier field at 60 cells rms a step: most points leave the box; bounded by the input's range",
       [] {
         return fourier_problem({40, 48, 32}, 7, 16, 30.0, 128 * kDx);
       },
       {maximum_principle(), displacement_limited(2)}, false));
-  sets.push_back(hard(
+  sets.push_back(hard_case(
       "outflow_walls",
       "a flow leaving through all six walls at up to 12 cells a step: the clamp at every face and corner",
       [] {
@@ -222,7 +209,7 @@ std::vector<InputSet> hard_cases() {
         });
       },
       {maximum_principle()}, true));
-  sets.push_back(hard(
+  sets.push_back(hard_case(
       "huge_velocity", "random velocities of 1e10 m/s: back-traced points far beyond any integer cell index",
       [] {
         return problem_from({9, 8, 10}, [](int c, std::int64_t i, std::int64_t j, std::int64_t k) {
@@ -231,7 +218,7 @@ std::vector<InputSet> hard_cases() {
         });
       },
       {maximum_principle()}, false));
-  sets.push_back(hard(
+  sets.push_back(hard_case(
       "denormal", "velocities of 1e-40 m/s: below the normal range, must not be flushed to zero",
       [] {
         return problem_from({8, 10, 9}, [](int c, std::int64_t i, std::int64_t j, std::int64_t k) {
@@ -262,7 +249,7 @@ std::vector<InputSet> hard_cases() {
         }}},
       false));
   for (const Grid grid : {Grid{1, 1, 1}, Grid{2, 2, 2}, Grid{3, 5, 7}, Grid{65, 1, 33}}) {
-    sets.push_back(hard(
+    sets.push_back(hard_case(
         fmt::format("grid_{}x{}x{}", grid.nx, grid.ny, grid.nz),
         "a grid smaller than any tile, with as few as one sample an axis",
         [grid] { return fourier_problem(grid, 19, 16, 1.0, 128 * kDx); }, {maximum_principle()}, true));
@@ -325,7 +312,7 @@ InputSet linear_field_set(std::int64_t n, std::vector<double> coefficients) {
     }
     return y;
   };
-  InputSet set = hard(
+  InputSet set = hard_case(
       "linear_field", "u = A x: trilinear interpolation is exact, so the interior must equal A P(-dt A) x",
       [=] {
         return problem_from({n, n, n}, [=](int c, std::int64_t i, std::int64_t j, std::int64_t k) {

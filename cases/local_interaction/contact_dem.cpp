@@ -192,13 +192,7 @@ Check closed_form() {
 // ---- hard cases ----
 
 InputSet hard(const std::string& stress, const std::string& about, std::function<std::vector<Grain>()> make) {
-  InputSet s;
-  s.name = "hard_" + stress;
-  s.kind = SetKind::hard;
-  s.size = Size::smoke;
-  s.about = about;
-  s.make = [make = std::move(make)] { return problem_of(make()); };
-  return s;
+  return hard_case(stress, about, [make = std::move(make)] { return problem_of(make()); });
 }
 
 InputSet with(InputSet s, Check invariant) {

@@ -249,16 +249,8 @@ Check error_over_largest(double tolerance, const std::string& why) {
 
 InputSet hard(const std::string& stress, const std::string& about, std::function<Problem()> make,
               std::vector<Check> invariants, bool use_task_checks = true) {
-  InputSet s;
-  s.name = "hard_" + stress;
-  s.kind = SetKind::hard;
-  s.size = Size::smoke;
-  s.about = about;
-  s.make = std::move(make);
-  s.invariants = std::move(invariants);
-  s.invariants.push_back(all_finite());
-  s.use_task_checks = use_task_checks;
-  return s;
+  invariants.push_back(all_finite());
+  return hard_case(stress, about, std::move(make), std::move(invariants), use_task_checks);
 }
 
 // A quarter of a cell away from node planes and half-way planes, as in the paper's sets, at random places.

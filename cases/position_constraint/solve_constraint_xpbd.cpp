@@ -245,19 +245,6 @@ Check barely_moved() {
                            "iterations together with half a unit of |x| < 90 m in float32 (3.8e-6)");
 }
 
-InputSet hard(const std::string& stress, const std::string& about, std::function<Problem()> make,
-              std::vector<Check> invariants, bool use_task_checks = true) {
-  InputSet s;
-  s.name = "hard_" + stress;
-  s.kind = SetKind::hard;
-  s.size = Size::smoke;
-  s.about = about;
-  s.make = std::move(make);
-  s.invariants = std::move(invariants);
-  s.use_task_checks = use_task_checks;
-  return s;
-}
-
 // With |x| near 1e4 the final rounding of x_new exceeds the local tolerance.
 Check within_one_unit() {
   return {"within_one_unit",
@@ -289,36 +276,36 @@ Check within_one_unit() {
 std::vector<InputSet> hard_sets() {
   const Check still = pc::unmoved_check(0, "nothing acts on any particle, and x + 0 = x in any precision");
   std::vector<InputSet> sets;
-  sets.push_back(hard("zero_length_springs", "coincident ends: isolated pairs, and ends inside a cloth",
-                      zero_length, {coincident_pairs_unmoved(), pc::momentum_check()}));
+  sets.push_back(hard_case("zero_length_springs", "coincident ends: isolated pairs, and ends inside a cloth",
+                           zero_length, {coincident_pairs_unmoved(), pc::momentum_check()}));
   sets.push_back(
-      hard("pinned_and_heavy",
-           "a fifth of the particles pinned, the others with masses over four decades, compliance 0", pinned,
-           {pc::pinned_check()}));
-  sets.push_back(hard("star_1000", "one particle holds 1000 springs, compliance 0", star,
-                      {violation_falls(), pc::momentum_check()}));
-  sets.push_back(hard(
+      hard_case("pinned_and_heavy",
+                "a fifth of the particles pinned, the others with masses over four decades, compliance 0",
+                pinned, {pc::pinned_check()}));
+  sets.push_back(hard_case("star_1000", "one particle holds 1000 springs, compliance 0", star,
+                           {violation_falls(), pc::momentum_check()}));
+  sets.push_back(hard_case(
       "compliance_1e6", "springs too soft to move anything", [] { return problem_of(small_cloth(24), 1e6); },
       {barely_moved()}, false));
-  sets.push_back(hard("compliance_0", "rigid springs", [] { return problem_of(small_cloth(29), 0); },
-                      {pc::momentum_check()}));
+  sets.push_back(hard_case("compliance_0", "rigid springs", [] { return problem_of(small_cloth(29), 0); },
+                           {pc::momentum_check()}));
   sets.push_back(
-      hard("rest_state", "every spring has its rest length exactly", rest_state,
-           {pc::unmoved_check(0x1p-21,
-                              "lengths of 1 and 2 are exact; allows two units in the last place of a "
-                              "length, for inexact square roots")},
-           false));
-  sets.push_back(hard("repeated_springs",
-                      "springs given twice in opposite directions, springs from a particle to itself",
-                      repeated_springs, {pc::momentum_check()}));
-  sets.push_back(hard("offset_1e4", "a cloth 1e4 m away from the origin along every axis", far_away,
-                      {within_one_unit(), pc::momentum_check()}, false));
-  sets.push_back(hard("self_springs", "no springs but from particles to themselves",
-                      [] { return self_springs(100); }, {still}));
-  sets.push_back(hard("one_particle", "a single particle with a spring to itself",
-                      [] { return self_springs(1); }, {still}));
-  sets.push_back(hard("zero_iterations", "a cloth with no iterations to do",
-                      [] { return problem_of(small_cloth(28), kCompliance, 0); }, {still}));
+      hard_case("rest_state", "every spring has its rest length exactly", rest_state,
+                {pc::unmoved_check(0x1p-21,
+                                   "lengths of 1 and 2 are exact; allows two units in the last place of a "
+                                   "length, for inexact square roots")},
+                false));
+  sets.push_back(hard_case("repeated_springs",
+                           "springs given twice in opposite directions, springs from a particle to itself",
+                           repeated_springs, {pc::momentum_check()}));
+  sets.push_back(hard_case("offset_1e4", "a cloth 1e4 m away from the origin along every axis", far_away,
+                           {within_one_unit(), pc::momentum_check()}, false));
+  sets.push_back(hard_case("self_springs", "no springs but from particles to themselves",
+                           [] { return self_springs(100); }, {still}));
+  sets.push_back(hard_case("one_particle", "a single particle with a spring to itself",
+                           [] { return self_springs(1); }, {still}));
+  sets.push_back(hard_case("zero_iterations", "a cloth with no iterations to do",
+                           [] { return problem_of(small_cloth(28), kCompliance, 0); }, {still}));
   return sets;
 }
 
