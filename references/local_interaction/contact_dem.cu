@@ -34,6 +34,7 @@ struct GridPolicy : neighbour_grid::DefaultPolicy {
   static constexpr int z_cells = 1;
 };
 struct Policy {
+  static constexpr int encode_threads = 128;
   static constexpr int threads = 64;
   static constexpr int queue = 4;
   static constexpr int blocks_per_sm = 16;
@@ -41,23 +42,25 @@ struct Policy {
 #else
 using GridPolicy = neighbour_grid::DefaultPolicy;
 struct Policy {
+  static constexpr int encode_threads = 256;
   static constexpr int threads = 128;
   static constexpr int queue = 16;  // contacts a grain may have before its force is evaluated in between
   static constexpr int blocks_per_sm = 10;
 };
 #endif
 
-// The grains in the order of their cells.
-struct Records {
-  float4* __restrict__ sphere;  // centre, radius; and one record more, which may be read but is not a grain
-  float4* __restrict__ motion;  // velocity, index in the input as bits
+// A grain, one sector. In the order of the cells.
+struct alignas(32) Grain {
+  float4 sphere;  // centre, radius
+  float4 motion;  // velocity, index in the input as bits
 };
 
 struct Grains {
+  using Record = Grain;
   const float* __restrict__ x;
   const float* __restrict__ v;
   const float* __restrict__ r;
-  Records records;
+  Grain* __restrict__ records;
   int count;
 
   __device__ __forceinline__ float3 position(int i) const {
@@ -65,13 +68,72 @@ struct Grains {
     return {x[o], x[o + 1], x[o + 2]};
   }
   __device__ __forceinline__ float radius(int i) const { return r[i]; }
-  __device__ __forceinline__ void place(int i, int slot) const {
+  __device__ __forceinline__ Grain record(int i) const {
     const std::size_t o = 3 * static_cast<std::size_t>(i);
-    records.sphere[slot] = make_float4(x[o], x[o + 1], x[o + 2], r[i]);
-    records.motion[slot] = make_float4(v[o], v[o + 1], v[o + 2], __int_as_float(i));
-    if (i == 0) records.sphere[count] = make_float4(0.0f, 0.0f, 0.0f, 0.0f);
+    return {make_float4(x[o], x[o + 1], x[o + 2], r[i]),
+            make_float4(v[o], v[o + 1], v[o + 2], __int_as_float(i))};
   }
 };
+
+// ---- Codes: a sphere in four bytes, for a search that never misses a contact ----
+//
+// Lengths are counted in quanta of 2 largest / resolution. Bytes from the lowest up:
+//   0     w, with w^2 <= (2 S e - e^2), where e = largest - r and S = largest + smallest. A contact with any
+//         grain of radius r_i needs d^2 < (r_i + r)^2 = R^2 - 2 R e + e^2 <= R^2 - w^2 with R = r_i +
+//         largest.
+//   1..3  minus the numbers of the quanta that hold x, y and z, modulo 256.
+// A grain adds its own numbers (probe_of()) to the code of a candidate: one addition, and the bytes are w and
+// the three differences, to within a quantum for x and 1.5 for y and z, into which the byte below may carry.
+// The sum of their squares (dp4a) is then compared with (R + slack)^2. Wrapped differences are only smaller
+// than the true ones, so they may add candidates, but lose none.
+
+// Quanta in the largest diameter: finer is sharper, until differences wrap within the cells searched.
+constexpr float resolution = 100.0f;
+
+__device__ __forceinline__ float quanta_per_metre(const neighbour_grid::Grid& grid) {
+  return resolution / (2.0f * grid.largest);
+}
+
+__device__ __forceinline__ unsigned code_of(const neighbour_grid::Grid& grid, const float4& sphere) {
+  const float per_metre = quanta_per_metre(grid);
+  const int x = static_cast<int>(floorf((sphere.x - grid.low[0]) * per_metre));
+  const int y = static_cast<int>(floorf((sphere.y - grid.low[1]) * per_metre));
+  const int z = static_cast<int>(floorf((sphere.z - grid.low[2]) * per_metre));
+  const float smaller = grid.largest - sphere.w;
+  const float square = smaller * (2.0f * (grid.largest + grid.smallest) - smaller);
+  const int w = static_cast<int>(sqrtf(fmaxf(square, 0.0f)) * per_metre * 0.99999f);  // below 60
+  return static_cast<unsigned>(w) | (0u - static_cast<unsigned>(x)) % 256u << 8 |
+         (0u - static_cast<unsigned>(y)) % 256u << 16 | (0u - static_cast<unsigned>(z)) << 24;
+}
+
+// Halves centre the carries.
+__device__ __forceinline__ unsigned probe_of(const neighbour_grid::Grid& grid, const float4& sphere) {
+  const float per_metre = quanta_per_metre(grid);
+  const int x = static_cast<int>(floorf((sphere.x - grid.low[0]) * per_metre));
+  const int y = static_cast<int>(floorf((sphere.y - grid.low[1]) * per_metre - 0.5f));
+  const int z = static_cast<int>(floorf((sphere.z - grid.low[2]) * per_metre - 0.5f));
+  return static_cast<unsigned>(x) % 256u << 8 | static_cast<unsigned>(y) % 256u << 16 |
+         static_cast<unsigned>(z) << 24;
+}
+
+// What dp4a of a true contact stays below. sqrt(1 + 1.5^2 + 1.5^2) quanta of rounding down, and the rounding
+// of the positions in quanta, which lets everything pass where the box is too wide for the numbers.
+__device__ __forceinline__ int code_bound(const neighbour_grid::Grid& grid, float radius) {
+  const float per_metre = quanta_per_metre(grid);
+  const float slack = 2.35f + grid.extent * per_metre * 0x1p-20f;
+  const float reach = (radius + grid.largest) * per_metre * 1.00001f + slack;
+  return static_cast<int>(fminf(reach * reach, 2e9f)) + 1;
+}
+
+__global__ void __launch_bounds__(Policy::encode_threads)
+    encode(const Grain* __restrict__ records, const neighbour_grid::Grid* __restrict__ grid,
+           unsigned* __restrict__ codes, int count) {
+  const int slot = static_cast<int>(blockIdx.x) * Policy::encode_threads + static_cast<int>(threadIdx.x);
+  if (slot < count) codes[slot] = code_of(*grid, records[slot].sphere);
+  if (slot == 0) codes[count] = 0;  // may be read, but is not a grain
+}
+
+// ---- Forces ----
 
 struct Law {
   float kn, cn;
@@ -83,16 +145,18 @@ __device__ __forceinline__ float approximate_sqrt(float a) {
   return root;
 }
 
-// Adds to `force` what the grain (sphere, motion) feels from another one that it overlaps.
+// Adds to `force` what the grain (sphere, motion) feels from another one, if they touch. Neither the grain
+// itself nor one with the same centre pushes: a direction is missing.
 __device__ __forceinline__ void add_contact(float3& force, const float4& sphere, const float4& motion,
                                             const float4& other, const float4& other_motion, Law law) {
   const float dx = sphere.x - other.x, dy = sphere.y - other.y, dz = sphere.z - other.z;
   const float square = dx * dx + dy * dy + dz * dz;
+  const float reach = sphere.w + other.w;
+  if (!(square < reach * reach && square > 0.0f)) return;
   const float inverse = rsqrtf(square);
   float distance = square * inverse;
   distance += 0.5f * inverse * (square - distance * distance);  // the overlap is a small difference of it
   const float nx = dx * inverse, ny = dy * inverse, nz = dz * inverse;
-  const float reach = sphere.w + other.w;
   const float overlap = fmaxf(reach - distance, 0.0f);
   const float separation =
       (motion.x - other_motion.x) * nx + (motion.y - other_motion.y) * ny + (motion.z - other_motion.z) * nz;
@@ -105,34 +169,37 @@ __device__ __forceinline__ void add_contact(float3& force, const float4& sphere,
 }
 
 __global__ void __launch_bounds__(Policy::threads, Policy::blocks_per_sm)
-    sum_contacts(const __grid_constant__ Records records, const neighbour_grid::Grid* __restrict__ grid_in,
-                 const int* __restrict__ start, float* __restrict__ result, Law law, int count) {
+    sum_contacts(const Grain* __restrict__ records, const unsigned* __restrict__ codes,
+                 const neighbour_grid::Grid* __restrict__ grid_in, const int* __restrict__ start,
+                 float* __restrict__ result, Law law, int count) {
   __shared__ int queue[Policy::queue * Policy::threads];
   __shared__ float staged[3 * Policy::threads];
-  const float4* __restrict__ const spheres = records.sphere;
-  const float4* __restrict__ const motions = records.motion;
   const int thread = static_cast<int>(threadIdx.x);
   const int slot = static_cast<int>(blockIdx.x) * Policy::threads + thread;
   float3 force{0.0f, 0.0f, 0.0f};
   int index = -1;
   if (slot < count) {
     const neighbour_grid::Grid& grid = *grid_in;
-    const float4 sphere = spheres[slot], motion = motions[slot];
+    const float4 sphere = records[slot].sphere, motion = records[slot].motion;
+    const unsigned probe = probe_of(grid, sphere);
+    const int bound = code_bound(grid, sphere.w);
     index = __float_as_int(motion.w);
     // Entries thread, thread + threads, ... of the queue are this thread's own; `top` is the next free one.
     int top = thread;
     const auto evaluate = [&] {
       for (int entry = thread; entry < top; entry += Policy::threads) {
-        const int j = queue[entry];
-        add_contact(force, sphere, motion, spheres[j], motions[j], law);
+        int j = queue[entry];
+        if (j == slot) {  // the last one takes its place
+          top -= Policy::threads;
+          j = queue[top];
+        }
+        add_contact(force, sphere, motion, records[j].sphere, records[j].motion, law);
       }
       top = thread;
     };
-    // Neither the grain itself nor one with the same centre pushes: a direction is missing.
-    const auto touches = [&](const float4& other) {
-      const float dx = sphere.x - other.x, dy = sphere.y - other.y, dz = sphere.z - other.z;
-      const float square = dx * dx + dy * dy + dz * dz, reach = sphere.w + other.w;
-      return square < reach * reach && square > 0.0f;
+    const auto touches = [&](unsigned code) {
+      const int bytes = static_cast<int>(probe + code);
+      return __dp4a(bytes, bytes, 0) < bound;
     };
     // No branch: with 32 lanes nearly every step holds a hit. What did not hit is overwritten.
     const auto enqueue_if = [&](bool hit, int j) {
@@ -144,11 +211,11 @@ __global__ void __launch_bounds__(Policy::threads, Policy::blocks_per_sm)
     const auto search = [&](int begin, int end) {
       constexpr int chunk = Policy::queue / 2;
       for (; begin < end; begin += chunk) {
-        const float4* __restrict__ const from = spheres + begin;
+        const unsigned* __restrict__ const from = codes + begin;
 #pragma unroll
         for (int k = 0; k < chunk; k += 2) {
           if (begin + k >= end) break;
-          const float4 a = from[k], b = from[k + 1];
+          const unsigned a = from[k], b = from[k + 1];
           enqueue_if(touches(a), begin + k);
           enqueue_if(touches(b) && begin + k + 1 < end, begin + k + 1);
         }
@@ -181,22 +248,25 @@ class Reference {
     const std::int64_t n = in.radius.shape[0];
     if (n > (1 << 30)) throw std::runtime_error("contact_dem: more than 2^30 grains");
     grid_.allocate(n);
-    sphere_ = DeviceBuffer<float4>(static_cast<std::size_t>(n) + 1);
-    motion_ = DeviceBuffer<float4>(static_cast<std::size_t>(n));
+    records_ = DeviceBuffer<Grain>(static_cast<std::size_t>(n));
+    codes_ = DeviceBuffer<unsigned>(static_cast<std::size_t>(n) + 1);
   }
 
   void compute(const Inputs& in, const Outputs<float>& out) {
     const int n = static_cast<int>(in.radius.shape[0]);
     if (n == 0) return;
-    const Records records{sphere_.get(), motion_.get()};
-    grid_.build(Grains{in.x.data, in.v.data, in.radius.data, records, n});
-    sum_contacts<<<static_cast<unsigned>((n + Policy::threads - 1) / Policy::threads), Policy::threads>>>(
-        records, grid_.grid(), grid_.start(), out.force.data, Law{in.kn, in.cn}, n);
+    const auto blocks = [n](int threads) { return static_cast<unsigned>((n + threads - 1) / threads); };
+    grid_.build(Grains{in.x.data, in.v.data, in.radius.data, records_.get(), n});
+    encode<<<blocks(Policy::encode_threads), Policy::encode_threads>>>(records_.get(), grid_.grid(),
+                                                                       codes_.get(), n);
+    sum_contacts<<<blocks(Policy::threads), Policy::threads>>>(
+        records_.get(), codes_.get(), grid_.grid(), grid_.start(), out.force.data, Law{in.kn, in.cn}, n);
   }
 
  private:
   neighbour_grid::NeighbourGrid<GridPolicy> grid_;
-  DeviceBuffer<float4> sphere_, motion_;
+  DeviceBuffer<Grain> records_;
+  DeviceBuffer<unsigned> codes_;
 };
 
 }  // namespace
