@@ -36,7 +36,9 @@ struct GridPolicy : neighbour_grid::DefaultPolicy {
 struct Policy {
   static constexpr int encode_threads = 128;
   static constexpr int threads = 64;
-  static constexpr int queue = 4;
+  static constexpr int at_once = 2;
+  static constexpr int run = 4;
+  static constexpr int queue = 3;
   static constexpr int blocks_per_sm = 16;
 };
 #else
@@ -44,7 +46,9 @@ using GridPolicy = neighbour_grid::DefaultPolicy;
 struct Policy {
   static constexpr int encode_threads = 256;
   static constexpr int threads = 128;
-  static constexpr int queue = 16;  // contacts a grain may have before its force is evaluated in between
+  static constexpr int at_once = 4;  // candidates tested before the first look at a range's length
+  static constexpr int run = 8;      // and between two looks at the queue; at most 32
+  static constexpr int queue = 8;    // runs with hits a grain may have before they are evaluated in between
   static constexpr int blocks_per_sm = 10;
 };
 #endif
@@ -88,10 +92,10 @@ struct Grains {
 // than the true ones, so they may add candidates, but lose none.
 
 // Quanta in the largest diameter: finer is sharper, until differences wrap within the cells searched.
-constexpr float resolution = 100.0f;
+constexpr float resolution = 80.0f;
 
 __device__ __forceinline__ float quanta_per_metre(const neighbour_grid::Grid& grid) {
-  return resolution / (2.0f * grid.largest);
+  return __fdividef(resolution, 2.0f * grid.largest);
 }
 
 __device__ __forceinline__ unsigned code_of(const neighbour_grid::Grid& grid, const float4& sphere) {
@@ -130,7 +134,7 @@ __global__ void __launch_bounds__(Policy::encode_threads)
            unsigned* __restrict__ codes, int count) {
   const int slot = static_cast<int>(blockIdx.x) * Policy::encode_threads + static_cast<int>(threadIdx.x);
   if (slot < count) codes[slot] = code_of(*grid, records[slot].sphere);
-  if (slot == 0) codes[count] = 0;  // may be read, but is not a grain
+  if (slot < Policy::at_once) codes[count + slot] = 0;  // may be read, but are not grains
 }
 
 // ---- Forces ----
@@ -139,10 +143,21 @@ struct Law {
   float kn, cn;
 };
 
+// Flushing results too small for the contract spares the code that would scale them.
 __device__ __forceinline__ float approximate_sqrt(float a) {
   float root;
-  asm("sqrt.approx.f32 %0, %1;" : "=f"(root) : "f"(a));  // 1 ulp, and 0 for 0
+  asm("sqrt.approx.ftz.f32 %0, %1;" : "=f"(root) : "f"(a));  // 1 ulp, and 0 for 0
   return root;
+}
+__device__ __forceinline__ float approximate_rsqrt(float a) {
+  float root;
+  asm("rsqrt.approx.ftz.f32 %0, %1;" : "=f"(root) : "f"(a));
+  return root;
+}
+__device__ __forceinline__ float approximate_inverse(float a) {
+  float inverse;
+  asm("rcp.approx.ftz.f32 %0, %1;" : "=f"(inverse) : "f"(a));
+  return inverse;
 }
 
 // Adds to `force` what the grain (sphere, motion) feels from another one, if they touch. Neither the grain
@@ -153,14 +168,14 @@ __device__ __forceinline__ void add_contact(float3& force, const float4& sphere,
   const float square = dx * dx + dy * dy + dz * dz;
   const float reach = sphere.w + other.w;
   if (!(square < reach * reach && square > 0.0f)) return;
-  const float inverse = rsqrtf(square);
+  const float inverse = approximate_rsqrt(square);
   float distance = square * inverse;
   distance += 0.5f * inverse * (square - distance * distance);  // the overlap is a small difference of it
   const float nx = dx * inverse, ny = dy * inverse, nz = dz * inverse;
   const float overlap = fmaxf(reach - distance, 0.0f);
   const float separation =
       (motion.x - other_motion.x) * nx + (motion.y - other_motion.y) * ny + (motion.z - other_motion.z) * nz;
-  const float reduced_radius = __fdividef(sphere.w * other.w, reach);
+  const float reduced_radius = sphere.w * other.w * approximate_inverse(reach);
   const float spread = approximate_sqrt(reduced_radius * overlap);
   const float push = fmaxf(spread * (law.kn * overlap - law.cn * separation), 0.0f);
   force.x += push * nx;
@@ -168,11 +183,16 @@ __device__ __forceinline__ void add_contact(float3& force, const float4& sphere,
   force.z += push * nz;
 }
 
+// 1 << k, and 0 for any k outside [0, 32).
+__device__ __forceinline__ unsigned bit_or_none(int k) {
+  return __funnelshift_lc(0u, 1u, static_cast<unsigned>(k));
+}
+
 __global__ void __launch_bounds__(Policy::threads, Policy::blocks_per_sm)
     sum_contacts(const Grain* __restrict__ records, const unsigned* __restrict__ codes,
                  const neighbour_grid::Grid* __restrict__ grid_in, const int* __restrict__ start,
                  float* __restrict__ result, Law law, int count) {
-  __shared__ int queue[Policy::queue * Policy::threads];
+  __shared__ int2 queue[Policy::queue * Policy::threads];
   __shared__ float staged[3 * Policy::threads];
   const int thread = static_cast<int>(threadIdx.x);
   const int slot = static_cast<int>(blockIdx.x) * Policy::threads + thread;
@@ -184,42 +204,53 @@ __global__ void __launch_bounds__(Policy::threads, Policy::blocks_per_sm)
     const unsigned probe = probe_of(grid, sphere);
     const int bound = code_bound(grid, sphere.w);
     index = __float_as_int(motion.w);
-    // Entries thread, thread + threads, ... of the queue are this thread's own; `top` is the next free one.
-    int top = thread;
+    // Runs of candidates with hits: the first slot, and a bit a hit. Entries thread, thread + threads, ... of
+    // the queue are this thread's own; `top` is the next free one.
+    int2* const mine = queue + thread;
+    int2* top = mine;
     const auto evaluate = [&] {
-      for (int entry = thread; entry < top; entry += Policy::threads) {
-        int j = queue[entry];
-        if (j == slot) {  // the last one takes its place
-          top -= Policy::threads;
-          j = queue[top];
+      const int2* entry = mine;
+      int2 run{0, 0};
+      while (true) {
+        if (run.y == 0) {
+          if (entry == top) break;
+          run = *entry;
+          entry += Policy::threads;
         }
-        add_contact(force, sphere, motion, records[j].sphere, records[j].motion, law);
+        const int bit = 31 - __clz(run.y);
+        run.y ^= 1 << bit;
+        const Grain& other = records[run.x + bit];
+        add_contact(force, sphere, motion, other.sphere, other.motion, law);
       }
-      top = thread;
+      top = mine;
     };
     const auto touches = [&](unsigned code) {
       const int bytes = static_cast<int>(probe + code);
       return __dp4a(bytes, bytes, 0) < bound;
     };
-    // No branch: with 32 lanes nearly every step holds a hit. What did not hit is overwritten.
-    const auto enqueue_if = [&](bool hit, int j) {
-      queue[top] = j;
-      if (hit) top += Policy::threads;
-    };
-    // Two candidates at a time, so that their loads overlap. The second of a last pair lies behind the range.
-    // Ranges are cut so that the queue need not be looked at in between.
     const auto search = [&](int begin, int end) {
-      constexpr int chunk = Policy::queue / 2;
-      for (; begin < end; begin += chunk) {
+      for (; begin < end; begin += Policy::run) {
         const unsigned* __restrict__ const from = codes + begin;
+        const int length = end - begin;
+        unsigned hits = 0;
+        const auto test = [&](int k) {
+          if (touches(from[k])) hits |= 1u << k;
+        };
+        // Nearly every step is one that some lane of the warp needs. What lies behind the range is masked
+        // out.
 #pragma unroll
-        for (int k = 0; k < chunk; k += 2) {
-          if (begin + k >= end) break;
-          const unsigned a = from[k], b = from[k + 1];
-          enqueue_if(touches(a), begin + k);
-          enqueue_if(touches(b) && begin + k + 1 < end, begin + k + 1);
+        for (int k = 0; k < Policy::at_once; ++k) test(k);
+#pragma unroll
+        for (int k = Policy::at_once; k < Policy::run; k += 2) {
+          if (k >= length) break;
+          test(k);
+          test(k + 1);
         }
-        if (top >= chunk * Policy::threads) evaluate();
+        const unsigned within = bit_or_none(length) - 1u, self = bit_or_none(slot - begin);
+        hits &= within & ~self;
+        *top = make_int2(begin, static_cast<int>(hits));
+        if (hits != 0) top += Policy::threads;
+        if (top == mine + Policy::queue * Policy::threads) evaluate();
       }
     };
     // Wider than any pair that passes the test: its sum of radii is rounded, and so is the squared distance.
