@@ -24,6 +24,12 @@
 namespace gpuphys::contact_dem {
 namespace {
 
+#ifndef GPUPHYS_CONTACT_DEM_THREADS
+// Four columns of the paper's packing: blocks of an SM share what they read of the columns between. (To be
+// compared with 128 on the GPU.)
+#define GPUPHYS_CONTACT_DEM_THREADS 640
+#endif
+
 #ifdef GPUPHYS_OTHER_BLOCKS
 struct GridPolicy : neighbour_grid::DefaultPolicy {
   static constexpr int bounds_threads = 256;
@@ -45,11 +51,11 @@ struct Policy {
 using GridPolicy = neighbour_grid::DefaultPolicy;
 struct Policy {
   static constexpr int encode_threads = 256;
-  static constexpr int threads = 128;
+  static constexpr int threads = GPUPHYS_CONTACT_DEM_THREADS;
   static constexpr int at_once = 4;  // candidates tested before the first look at a range's length
   static constexpr int run = 8;      // and between two looks at the queue; at most 32
   static constexpr int queue = 8;    // runs with hits a grain may have before they are evaluated in between
-  static constexpr int blocks_per_sm = 10;
+  static constexpr int blocks_per_sm = 1280 / threads;
 };
 #endif
 
