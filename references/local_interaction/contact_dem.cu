@@ -286,7 +286,7 @@ class Reference {
     if (n > (1 << 30)) throw std::runtime_error("contact_dem: more than 2^30 grains");
     grid_.allocate(n);
     records_ = DeviceBuffer<Grain>(static_cast<std::size_t>(n));
-    codes_ = DeviceBuffer<unsigned>(static_cast<std::size_t>(n) + 1);
+    codes_ = DeviceBuffer<unsigned>(static_cast<std::size_t>(n) + Policy::at_once);
   }
 
   void compute(const Inputs& in, const Outputs<float>& out) {
