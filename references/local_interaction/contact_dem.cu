@@ -2,21 +2,25 @@
 //
 // For every grain: the grains that overlap it, found through a uniform grid, and the sum of their forces.
 //
-// Mapping: the grains are sorted by cell (references/common/neighbour_grid.cuh) into packed records, position
-// and radius in one array, velocity and index in another. A thread owns one grain in that order, so a warp
-// owns a few neighbouring cells of a column and its candidates are shared in L1. Every pair is evaluated
-// twice, once from either side, with bitwise opposite results: no atomics, and forces balance to the rounding
-// of each sum.
+// Mapping: the grains are sorted by cell (references/common/neighbour_grid.cuh) into records of one sector:
+// position, radius, velocity, index. A pass over the records writes each sphere again as a code of four bytes
+// for the search. A thread owns one grain in the sorted order, so a warp owns a stretch of one column of
+// cells and its candidates of another column are a short run of codes. Every pair is evaluated twice, once
+// from either side, with bitwise opposite results: no atomics, and forces balance to the rounding of each
+// sum.
 //
-// What bounds it: instruction issue of the search, then random sectors in L2. A grain meets 8.3 columns of
-// cells and 37 candidates (cells of 1.2 x 1.2 x 0.6 against a reach of 1.15), of which 4.7 touch; a warp
-// takes 28 steps of two candidates and 33 instructions. What pays is to keep search and force apart: the
-// search tests squared distances only and queues the hits in shared memory, a column of the queue a thread;
-// the force (about 50 instructions) then runs over the queues with most lanes busy: the longest of a warp's
-// 32 queues holds 6. Evaluated inside the search, nearly every candidate would drag its warp through the
-// force: one lane in eight hits. The forces go back to the order of the input by scattered writes; three
-// neighbouring lanes write the three words of a grain, so that it costs one or two sectors instead of three
-// requests.
+// What bounds it: random sectors in L2 while sorting (an atomic, a start and a record a grain), instruction
+// issue while searching. A grain meets 8.2 columns of cells and 37 candidates (cells of 1.2 x 1.2 x 0.6
+// against a reach of 1.15), of which 4.7 touch. What pays:
+// - Whole sectors: two lanes write one record in one instruction.
+// - Codes: a candidate costs one word instead of four (1.5 L1 wavefronts a load instead of about 7) and five
+//   instructions: load, add, dp4a, compare, set a bit. The test errs on the side of contact only and passes
+//   0.6 candidates a grain too many; the exact one in FP32 decides.
+// - Search and force apart: hits are queued in shared memory as bits, a run of candidates an entry, and the
+//   force (about 60 instructions) runs over the queues with most lanes busy: the longest of a warp's 32 holds
+//   6.4. Evaluated inside the search, nearly every candidate would drag its warp through the force.
+// The forces go back to the order of the input by scattered writes; three neighbouring lanes write the three
+// words of a grain, so that it costs one or two sectors instead of three requests.
 #include "cases/local_interaction/contact_dem.hpp"
 #include "core/module.hpp"
 #include "references/common/neighbour_grid.cuh"
