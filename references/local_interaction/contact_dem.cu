@@ -17,7 +17,7 @@
 //   instructions: load, add, dp4a, compare, set a bit. The test errs on the side of contact only and passes
 //   0.6 candidates a grain too many; the exact one in FP32 decides.
 // - Search and force apart: hits are queued in shared memory as bits, a run of candidates an entry, and the
-//   force (about 60 instructions) runs over the queues with most lanes busy: the longest of a warp's 32 holds
+//   force (about 57 instructions) runs over the queues with most lanes busy: the longest of a warp's 32 holds
 //   6.4. Evaluated inside the search, nearly every candidate would drag its warp through the force.
 // The forces go back to the order of the input by scattered writes; three neighbouring lanes write the three
 // words of a grain, so that it costs one or two sectors instead of three requests.
@@ -56,7 +56,7 @@ using GridPolicy = neighbour_grid::DefaultPolicy;
 struct Policy {
   static constexpr int encode_threads = 256;
   static constexpr int threads = GPUPHYS_CONTACT_DEM_THREADS;
-  static constexpr int at_once = 4;  // candidates tested before the first look at a range's length
+  static constexpr int at_once = 6;  // candidates tested before the first look at a range's length
   static constexpr int run = 8;      // and between two looks at the queue; at most 32
   static constexpr int queue = 8;    // runs with hits a grain may have before they are evaluated in between
   static constexpr int blocks_per_sm = 1280 / threads;
@@ -175,14 +175,16 @@ __device__ __forceinline__ float approximate_inverse(float a) {
 __device__ __forceinline__ void add_contact(float3& force, const float4& sphere, const float4& motion,
                                             const float4& other, const float4& other_motion, Law law) {
   const float dx = sphere.x - other.x, dy = sphere.y - other.y, dz = sphere.z - other.z;
-  const float square = dx * dx + dy * dy + dz * dz;
+  float square = dx * dx + dy * dy + dz * dz;
   const float reach = sphere.w + other.w;
-  if (!(square < reach * reach && square > 0.0f)) return;
+  // No branch: nine in ten that get here touch, and both loads of a record are to be under way together.
+  const bool touch = square < reach * reach && square > 0.0f;
+  if (!touch) square = 1.0f;  // anything finite
   const float inverse = approximate_rsqrt(square);
   float distance = square * inverse;
   distance += 0.5f * inverse * (square - distance * distance);  // the overlap is a small difference of it
   const float nx = dx * inverse, ny = dy * inverse, nz = dz * inverse;
-  const float overlap = fmaxf(reach - distance, 0.0f);
+  const float overlap = touch ? fmaxf(reach - distance, 0.0f) : 0.0f;
   const float separation =
       (motion.x - other_motion.x) * nx + (motion.y - other_motion.y) * ny + (motion.z - other_motion.z) * nz;
   const float reduced_radius = sphere.w * other.w * approximate_inverse(reach);
@@ -229,7 +231,7 @@ __global__ void __launch_bounds__(Policy::threads, Policy::blocks_per_sm)
         }
         const int bit = 31 - __clz(run.y);
         run.y ^= 1 << bit;
-        const Grain& other = records[run.x + bit];
+        const Grain other = records[run.x + bit];
         add_contact(force, sphere, motion, other.sphere, other.motion, law);
       }
       top = mine;
