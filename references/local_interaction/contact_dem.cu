@@ -2,27 +2,37 @@
 //
 // For every grain: the grains that overlap it, found through a uniform grid, and the sum of their forces.
 //
-// Mapping: the grains are sorted by cell (references/common/neighbour_grid.cuh) into packed records, position
-// and radius in one array, velocity and index in another. A thread owns one grain in that order, so a warp
-// owns a few neighbouring cells of a column and its candidates are shared in L1. Every pair is evaluated
-// twice, once from either side, with bitwise opposite results: no atomics, and forces balance to the rounding
-// of each sum.
+// Mapping: the grains are sorted by cell (references/common/neighbour_grid.cuh) into records of one sector:
+// position, radius, velocity, index. A pass over the records writes each sphere again as a code of four bytes
+// for the search. A thread owns one grain in the sorted order, so a warp owns a stretch of one column of
+// cells and its candidates of another column are a short run of codes. Every pair is evaluated twice, once
+// from either side, with bitwise opposite results: no atomics, and forces balance to the rounding of each
+// sum.
 //
-// What bounds it: instruction issue of the search, then random sectors in L2. A grain meets 8.3 columns of
-// cells and 37 candidates (cells of 1.2 x 1.2 x 0.6 against a reach of 1.15), of which 4.7 touch; a warp
-// takes 28 steps of two candidates and 33 instructions. What pays is to keep search and force apart: the
-// search tests squared distances only and queues the hits in shared memory, a column of the queue a thread;
-// the force (about 50 instructions) then runs over the queues with most lanes busy: the longest of a warp's
-// 32 queues holds 6. Evaluated inside the search, nearly every candidate would drag its warp through the
-// force: one lane in eight hits. The forces go back to the order of the input by scattered writes; three
-// neighbouring lanes write the three words of a grain, so that it costs one or two sectors instead of three
-// requests.
+// What bounds it: random sectors in L2 while sorting (an atomic, a start and a record a grain), instruction
+// issue while searching. A grain meets 8.2 columns of cells and 37 candidates (cells of 1.2 x 1.2 x 0.6
+// against a reach of 1.15), of which 4.7 touch. What pays:
+// - Whole sectors: two lanes write one record in one instruction.
+// - Codes: a candidate costs one word instead of four (1.5 L1 wavefronts a load instead of about 7) and five
+//   instructions: load, add, dp4a, compare, set a bit. The test errs on the side of contact only and passes
+//   0.6 candidates a grain too many; the exact one in FP32 decides.
+// - Search and force apart: hits are queued in shared memory as bits, a run of candidates an entry, and the
+//   force (about 57 instructions) runs over the queues with most lanes busy: the longest of a warp's 32 holds
+//   6.4. Evaluated inside the search, nearly every candidate would drag its warp through the force.
+// The forces go back to the order of the input by scattered writes; three neighbouring lanes write the three
+// words of a grain, so that it costs one or two sectors instead of three requests.
 #include "cases/local_interaction/contact_dem.hpp"
 #include "core/module.hpp"
 #include "references/common/neighbour_grid.cuh"
 
 namespace gpuphys::contact_dem {
 namespace {
+
+#ifndef GPUPHYS_CONTACT_DEM_THREADS
+// Four columns of the paper's packing: blocks of an SM share what they read of the columns between. (To be
+// compared with 128 on the GPU.)
+#define GPUPHYS_CONTACT_DEM_THREADS 640
+#endif
 
 #ifdef GPUPHYS_OTHER_BLOCKS
 struct GridPolicy : neighbour_grid::DefaultPolicy {
@@ -34,30 +44,37 @@ struct GridPolicy : neighbour_grid::DefaultPolicy {
   static constexpr int z_cells = 1;
 };
 struct Policy {
+  static constexpr int encode_threads = 128;
   static constexpr int threads = 64;
-  static constexpr int queue = 4;
+  static constexpr int at_once = 2;
+  static constexpr int run = 4;
+  static constexpr int queue = 3;
   static constexpr int blocks_per_sm = 16;
 };
 #else
 using GridPolicy = neighbour_grid::DefaultPolicy;
 struct Policy {
-  static constexpr int threads = 128;
-  static constexpr int queue = 16;  // contacts a grain may have before its force is evaluated in between
-  static constexpr int blocks_per_sm = 10;
+  static constexpr int encode_threads = 256;
+  static constexpr int threads = GPUPHYS_CONTACT_DEM_THREADS;
+  static constexpr int at_once = 6;  // candidates tested before the first look at a range's length
+  static constexpr int run = 8;      // and between two looks at the queue; at most 32
+  static constexpr int queue = 8;    // runs with hits a grain may have before they are evaluated in between
+  static constexpr int blocks_per_sm = 1280 / threads;
 };
 #endif
 
-// The grains in the order of their cells.
-struct Records {
-  float4* __restrict__ sphere;  // centre, radius; and one record more, which may be read but is not a grain
-  float4* __restrict__ motion;  // velocity, index in the input as bits
+// A grain, one sector. In the order of the cells.
+struct alignas(32) Grain {
+  float4 sphere;  // centre, radius
+  float4 motion;  // velocity, index in the input as bits
 };
 
 struct Grains {
+  using Record = Grain;
   const float* __restrict__ x;
   const float* __restrict__ v;
   const float* __restrict__ r;
-  Records records;
+  Grain* __restrict__ records;
   int count;
 
   __device__ __forceinline__ float3 position(int i) const {
@@ -65,38 +82,112 @@ struct Grains {
     return {x[o], x[o + 1], x[o + 2]};
   }
   __device__ __forceinline__ float radius(int i) const { return r[i]; }
-  __device__ __forceinline__ void place(int i, int slot) const {
+  __device__ __forceinline__ Grain record(int i) const {
     const std::size_t o = 3 * static_cast<std::size_t>(i);
-    records.sphere[slot] = make_float4(x[o], x[o + 1], x[o + 2], r[i]);
-    records.motion[slot] = make_float4(v[o], v[o + 1], v[o + 2], __int_as_float(i));
-    if (i == 0) records.sphere[count] = make_float4(0.0f, 0.0f, 0.0f, 0.0f);
+    return {make_float4(x[o], x[o + 1], x[o + 2], r[i]),
+            make_float4(v[o], v[o + 1], v[o + 2], __int_as_float(i))};
   }
 };
+
+// ---- Codes: a sphere in four bytes, for a search that never misses a contact ----
+//
+// Lengths are counted in quanta of 2 largest / resolution. Bytes from the lowest up:
+//   0     w, with w^2 <= (2 S e - e^2), where e = largest - r and S = largest + smallest. A contact with any
+//         grain of radius r_i needs d^2 < (r_i + r)^2 = R^2 - 2 R e + e^2 <= R^2 - w^2 with R = r_i +
+//         largest.
+//   1..3  minus the numbers of the quanta that hold x, y and z, modulo 256.
+// A grain adds its own numbers (probe_of()) to the code of a candidate: one addition, and the bytes are w and
+// the three differences, to within a quantum for x and 1.5 for y and z, into which the byte below may carry.
+// The sum of their squares (dp4a) is then compared with (R + slack)^2. Wrapped differences are only smaller
+// than the true ones, so they may add candidates, but lose none.
+
+// Quanta in the largest diameter: finer is sharper, until differences wrap within the cells searched.
+constexpr float resolution = 80.0f;
+
+__device__ __forceinline__ float quanta_per_metre(const neighbour_grid::Grid& grid) {
+  return __fdividef(resolution, 2.0f * grid.largest);
+}
+
+__device__ __forceinline__ unsigned code_of(const neighbour_grid::Grid& grid, const float4& sphere) {
+  const float per_metre = quanta_per_metre(grid);
+  const int x = static_cast<int>(floorf((sphere.x - grid.low[0]) * per_metre));
+  const int y = static_cast<int>(floorf((sphere.y - grid.low[1]) * per_metre));
+  const int z = static_cast<int>(floorf((sphere.z - grid.low[2]) * per_metre));
+  const float smaller = grid.largest - sphere.w;
+  const float square = smaller * (2.0f * (grid.largest + grid.smallest) - smaller);
+  const int w = static_cast<int>(sqrtf(fmaxf(square, 0.0f)) * per_metre * 0.99999f);  // below 60
+  return static_cast<unsigned>(w) | (0u - static_cast<unsigned>(x)) % 256u << 8 |
+         (0u - static_cast<unsigned>(y)) % 256u << 16 | (0u - static_cast<unsigned>(z)) << 24;
+}
+
+// Halves centre the carries.
+__device__ __forceinline__ unsigned probe_of(const neighbour_grid::Grid& grid, const float4& sphere) {
+  const float per_metre = quanta_per_metre(grid);
+  const int x = static_cast<int>(floorf((sphere.x - grid.low[0]) * per_metre));
+  const int y = static_cast<int>(floorf((sphere.y - grid.low[1]) * per_metre - 0.5f));
+  const int z = static_cast<int>(floorf((sphere.z - grid.low[2]) * per_metre - 0.5f));
+  return static_cast<unsigned>(x) % 256u << 8 | static_cast<unsigned>(y) % 256u << 16 |
+         static_cast<unsigned>(z) << 24;
+}
+
+// What dp4a of a true contact stays below. sqrt(1 + 1.5^2 + 1.5^2) quanta of rounding down, and the rounding
+// of the positions in quanta, which lets everything pass where the box is too wide for the numbers.
+__device__ __forceinline__ int code_bound(const neighbour_grid::Grid& grid, float radius) {
+  const float per_metre = quanta_per_metre(grid);
+  const float slack = 2.35f + grid.extent * per_metre * 0x1p-20f;
+  const float reach = (radius + grid.largest) * per_metre * 1.00001f + slack;
+  return static_cast<int>(fminf(reach * reach, 2e9f)) + 1;
+}
+
+__global__ void __launch_bounds__(Policy::encode_threads)
+    encode(const Grain* __restrict__ records, const neighbour_grid::Grid* __restrict__ grid,
+           unsigned* __restrict__ codes, int count) {
+  const int slot = static_cast<int>(blockIdx.x) * Policy::encode_threads + static_cast<int>(threadIdx.x);
+  if (slot < count) codes[slot] = code_of(*grid, records[slot].sphere);
+  if (slot < Policy::at_once) codes[count + slot] = 0;  // may be read, but are not grains
+}
+
+// ---- Forces ----
 
 struct Law {
   float kn, cn;
 };
 
+// Flushing results too small for the contract spares the code that would scale them.
 __device__ __forceinline__ float approximate_sqrt(float a) {
   float root;
-  asm("sqrt.approx.f32 %0, %1;" : "=f"(root) : "f"(a));  // 1 ulp, and 0 for 0
+  asm("sqrt.approx.ftz.f32 %0, %1;" : "=f"(root) : "f"(a));  // 1 ulp, and 0 for 0
   return root;
 }
+__device__ __forceinline__ float approximate_rsqrt(float a) {
+  float root;
+  asm("rsqrt.approx.ftz.f32 %0, %1;" : "=f"(root) : "f"(a));
+  return root;
+}
+__device__ __forceinline__ float approximate_inverse(float a) {
+  float inverse;
+  asm("rcp.approx.ftz.f32 %0, %1;" : "=f"(inverse) : "f"(a));
+  return inverse;
+}
 
-// Adds to `force` what the grain (sphere, motion) feels from another one that it overlaps.
+// Adds to `force` what the grain (sphere, motion) feels from another one, if they touch. Neither the grain
+// itself nor one with the same centre pushes: a direction is missing.
 __device__ __forceinline__ void add_contact(float3& force, const float4& sphere, const float4& motion,
                                             const float4& other, const float4& other_motion, Law law) {
   const float dx = sphere.x - other.x, dy = sphere.y - other.y, dz = sphere.z - other.z;
-  const float square = dx * dx + dy * dy + dz * dz;
-  const float inverse = rsqrtf(square);
+  float square = dx * dx + dy * dy + dz * dz;
+  const float reach = sphere.w + other.w;
+  // No branch: nine in ten that get here touch, and both loads of a record are to be under way together.
+  const bool touch = square < reach * reach && square > 0.0f;
+  if (!touch) square = 1.0f;  // anything finite
+  const float inverse = approximate_rsqrt(square);
   float distance = square * inverse;
   distance += 0.5f * inverse * (square - distance * distance);  // the overlap is a small difference of it
   const float nx = dx * inverse, ny = dy * inverse, nz = dz * inverse;
-  const float reach = sphere.w + other.w;
-  const float overlap = fmaxf(reach - distance, 0.0f);
+  const float overlap = touch ? fmaxf(reach - distance, 0.0f) : 0.0f;
   const float separation =
       (motion.x - other_motion.x) * nx + (motion.y - other_motion.y) * ny + (motion.z - other_motion.z) * nz;
-  const float reduced_radius = __fdividef(sphere.w * other.w, reach);
+  const float reduced_radius = sphere.w * other.w * approximate_inverse(reach);
   const float spread = approximate_sqrt(reduced_radius * overlap);
   const float push = fmaxf(spread * (law.kn * overlap - law.cn * separation), 0.0f);
   force.x += push * nx;
@@ -104,55 +195,74 @@ __device__ __forceinline__ void add_contact(float3& force, const float4& sphere,
   force.z += push * nz;
 }
 
+// 1 << k, and 0 for any k outside [0, 32).
+__device__ __forceinline__ unsigned bit_or_none(int k) {
+  return __funnelshift_lc(0u, 1u, static_cast<unsigned>(k));
+}
+
 __global__ void __launch_bounds__(Policy::threads, Policy::blocks_per_sm)
-    sum_contacts(const __grid_constant__ Records records, const neighbour_grid::Grid* __restrict__ grid_in,
-                 const int* __restrict__ start, float* __restrict__ result, Law law, int count) {
-  __shared__ int queue[Policy::queue * Policy::threads];
+    sum_contacts(const Grain* __restrict__ records, const unsigned* __restrict__ codes,
+                 const neighbour_grid::Grid* __restrict__ grid_in, const int* __restrict__ start,
+                 float* __restrict__ result, Law law, int count) {
+  __shared__ int2 queue[Policy::queue * Policy::threads];
   __shared__ float staged[3 * Policy::threads];
-  const float4* __restrict__ const spheres = records.sphere;
-  const float4* __restrict__ const motions = records.motion;
   const int thread = static_cast<int>(threadIdx.x);
   const int slot = static_cast<int>(blockIdx.x) * Policy::threads + thread;
   float3 force{0.0f, 0.0f, 0.0f};
   int index = -1;
   if (slot < count) {
     const neighbour_grid::Grid& grid = *grid_in;
-    const float4 sphere = spheres[slot], motion = motions[slot];
+    const float4 sphere = records[slot].sphere, motion = records[slot].motion;
+    const unsigned probe = probe_of(grid, sphere);
+    const int bound = code_bound(grid, sphere.w);
     index = __float_as_int(motion.w);
-    // Entries thread, thread + threads, ... of the queue are this thread's own; `top` is the next free one.
-    int top = thread;
+    // Runs of candidates with hits: the first slot, and a bit a hit. Entries thread, thread + threads, ... of
+    // the queue are this thread's own; `top` is the next free one.
+    int2* const mine = queue + thread;
+    int2* top = mine;
     const auto evaluate = [&] {
-      for (int entry = thread; entry < top; entry += Policy::threads) {
-        const int j = queue[entry];
-        add_contact(force, sphere, motion, spheres[j], motions[j], law);
-      }
-      top = thread;
-    };
-    // Neither the grain itself nor one with the same centre pushes: a direction is missing.
-    const auto touches = [&](const float4& other) {
-      const float dx = sphere.x - other.x, dy = sphere.y - other.y, dz = sphere.z - other.z;
-      const float square = dx * dx + dy * dy + dz * dz, reach = sphere.w + other.w;
-      return square < reach * reach && square > 0.0f;
-    };
-    // No branch: with 32 lanes nearly every step holds a hit. What did not hit is overwritten.
-    const auto enqueue_if = [&](bool hit, int j) {
-      queue[top] = j;
-      if (hit) top += Policy::threads;
-    };
-    // Two candidates at a time, so that their loads overlap. The second of a last pair lies behind the range.
-    // Ranges are cut so that the queue need not be looked at in between.
-    const auto search = [&](int begin, int end) {
-      constexpr int chunk = Policy::queue / 2;
-      for (; begin < end; begin += chunk) {
-        const float4* __restrict__ const from = spheres + begin;
-#pragma unroll
-        for (int k = 0; k < chunk; k += 2) {
-          if (begin + k >= end) break;
-          const float4 a = from[k], b = from[k + 1];
-          enqueue_if(touches(a), begin + k);
-          enqueue_if(touches(b) && begin + k + 1 < end, begin + k + 1);
+      const int2* entry = mine;
+      int2 run{0, 0};
+      while (true) {
+        if (run.y == 0) {
+          if (entry == top) break;
+          run = *entry;
+          entry += Policy::threads;
         }
-        if (top >= chunk * Policy::threads) evaluate();
+        const int bit = 31 - __clz(run.y);
+        run.y ^= 1 << bit;
+        const Grain other = records[run.x + bit];
+        add_contact(force, sphere, motion, other.sphere, other.motion, law);
+      }
+      top = mine;
+    };
+    const auto touches = [&](unsigned code) {
+      const int bytes = static_cast<int>(probe + code);
+      return __dp4a(bytes, bytes, 0) < bound;
+    };
+    const auto search = [&](int begin, int end) {
+      for (; begin < end; begin += Policy::run) {
+        const unsigned* __restrict__ const from = codes + begin;
+        const int length = end - begin;
+        unsigned hits = 0;
+        const auto test = [&](int k) {
+          if (touches(from[k])) hits |= 1u << k;
+        };
+        // Nearly every step is one that some lane of the warp needs. What lies behind the range is masked
+        // out.
+#pragma unroll
+        for (int k = 0; k < Policy::at_once; ++k) test(k);
+#pragma unroll
+        for (int k = Policy::at_once; k < Policy::run; k += 2) {
+          if (k >= length) break;
+          test(k);
+          test(k + 1);
+        }
+        const unsigned within = bit_or_none(length) - 1u, self = bit_or_none(slot - begin);
+        hits &= within & ~self;
+        *top = make_int2(begin, static_cast<int>(hits));
+        if (hits != 0) top += Policy::threads;
+        if (top == mine + Policy::queue * Policy::threads) evaluate();
       }
     };
     // Wider than any pair that passes the test: its sum of radii is rounded, and so is the squared distance.
@@ -181,22 +291,25 @@ class Reference {
     const std::int64_t n = in.radius.shape[0];
     if (n > (1 << 30)) throw std::runtime_error("contact_dem: more than 2^30 grains");
     grid_.allocate(n);
-    sphere_ = DeviceBuffer<float4>(static_cast<std::size_t>(n) + 1);
-    motion_ = DeviceBuffer<float4>(static_cast<std::size_t>(n));
+    records_ = DeviceBuffer<Grain>(static_cast<std::size_t>(n));
+    codes_ = DeviceBuffer<unsigned>(static_cast<std::size_t>(n) + Policy::at_once);
   }
 
   void compute(const Inputs& in, const Outputs<float>& out) {
     const int n = static_cast<int>(in.radius.shape[0]);
     if (n == 0) return;
-    const Records records{sphere_.get(), motion_.get()};
-    grid_.build(Grains{in.x.data, in.v.data, in.radius.data, records, n});
-    sum_contacts<<<static_cast<unsigned>((n + Policy::threads - 1) / Policy::threads), Policy::threads>>>(
-        records, grid_.grid(), grid_.start(), out.force.data, Law{in.kn, in.cn}, n);
+    const auto blocks = [n](int threads) { return static_cast<unsigned>((n + threads - 1) / threads); };
+    grid_.build(Grains{in.x.data, in.v.data, in.radius.data, records_.get(), n});
+    encode<<<blocks(Policy::encode_threads), Policy::encode_threads>>>(records_.get(), grid_.grid(),
+                                                                       codes_.get(), n);
+    sum_contacts<<<blocks(Policy::threads), Policy::threads>>>(
+        records_.get(), codes_.get(), grid_.grid(), grid_.start(), out.force.data, Law{in.kn, in.cn}, n);
   }
 
  private:
   neighbour_grid::NeighbourGrid<GridPolicy> grid_;
-  DeviceBuffer<float4> sphere_, motion_;
+  DeviceBuffer<Grain> records_;
+  DeviceBuffer<unsigned> codes_;
 };
 
 }  // namespace
