@@ -63,6 +63,7 @@ constexpr int kCells = kTileSide * kTileSide * kTileSide;  // of a tile
 constexpr int kColumns = kTileSide * kTileSide * kPlanes;  // (cell x, cell y, plane)
 constexpr int kScatterThreads = kColumns * kTileSide;      // one for each cell of each column
 constexpr int kRecord = 3;                                 // float4 a particle
+constexpr int kStride = 4;                                 // the same in memory: two whole sectors
 constexpr int kRounds = (Policy::piece + kScatterThreads - 1) / kScatterThreads;
 static_assert(kScatterThreads % 32 == 0, "shuffles need whole warps");
 
@@ -105,10 +106,12 @@ __global__ void __launch_bounds__(Policy::place_threads)
     place(const __grid_constant__ TileGrid grid, const __grid_constant__ Particles particles, Moduli moduli,
           const int* __restrict__ starts, const int* __restrict__ ranks, float4* __restrict__ records) {
   constexpr int per_warp = 32 * (3 + 3 + 9);
-  __shared__ float staging[Policy::place_threads / 32][per_warp];
+  constexpr int per_store = 32 / kStride;  // records that a warp writes at once
+  __shared__ __align__(16) float staging[Policy::place_threads / 32][per_warp];
   float* stage = staging[threadIdx.x / 32];
+  const int lane = static_cast<int>(threadIdx.x) % 32;
   const std::int64_t p = static_cast<std::int64_t>(blockIdx.x) * Policy::place_threads + threadIdx.x;
-  const std::int64_t first = p - threadIdx.x % 32;
+  const std::int64_t first = p - lane;
   float x[3], v[3], f[9];
   load_rows(particles.x, first, particles.n, x);
   load_rows(particles.v, first, particles.n, v);
@@ -117,17 +120,30 @@ __global__ void __launch_bounds__(Policy::place_threads)
   transpose_rows(stage, x);
   transpose_rows(stage + 32 * 3, v);
   transpose_rows(stage + 32 * 6, f);
-  if (rank < 0) return;
+  __syncwarp();  // the rows are read: their memory takes the records
 
-  const particle_grid::Place at = particle_grid::locate(grid, x[0], x[1], x[2]);
-  const polar::Matrix3 deformation{{{f[0], f[1], f[2]}, {f[3], f[4], f[5]}, {f[6], f[7], f[8]}}};
-  const elasticity::SymmetricMatrix tau =
-      elasticity::fixed_corotated(deformation, moduli.two_mu, moduli.lambda);
-  const std::int64_t slot = starts[at.tile] + rank;
-  float4* record = records + kRecord * slot;
-  record[0] = make_float4(at.offset[0], at.offset[1], at.offset[2], v[0]);
-  record[1] = make_float4(v[1], v[2], tau.xx, tau.yy);
-  record[2] = make_float4(tau.zz, tau.xy, tau.xz, tau.yz);
+  float4* packed = reinterpret_cast<float4*>(stage);
+  int slot = -1;
+  if (rank >= 0) {
+    const particle_grid::Place at = particle_grid::locate(grid, x[0], x[1], x[2]);
+    slot = starts[at.tile] + rank;
+    const polar::Matrix3 deformation{{{f[0], f[1], f[2]}, {f[3], f[4], f[5]}, {f[6], f[7], f[8]}}};
+    const elasticity::SymmetricMatrix tau =
+        elasticity::fixed_corotated(deformation, moduli.two_mu, moduli.lambda);
+    packed[kRecord * lane] = make_float4(at.offset[0], at.offset[1], at.offset[2], v[0]);
+    packed[kRecord * lane + 1] = make_float4(v[1], v[2], tau.xx, tau.yy);
+    packed[kRecord * lane + 2] = make_float4(tau.zz, tau.xy, tau.xz, tau.yz);
+  }
+  __syncwarp();
+  const int part = lane % kStride;
+#pragma unroll
+  for (int s = 0; s < kStride; ++s) {
+    const int item = s * per_store + lane / kStride;
+    const int to = __shfl_sync(0xffffffffu, slot, item);
+    if (to < 0) continue;
+    records[static_cast<std::int64_t>(kStride) * to + part] =
+        part < kRecord ? packed[kRecord * item + part] : make_float4(0.0f, 0.0f, 0.0f, 0.0f);
+  }
 }
 
 struct ScatterShared {
@@ -282,9 +298,9 @@ __global__ void __launch_bounds__(kScatterThreads, Policy::scatter_blocks_per_sm
   const int n_items = *item_count;
   for (int i = static_cast<int>(blockIdx.x); i < n_items; i += static_cast<int>(gridDim.x)) {
     const WorkItem item = items[i];
-    const float4* list = records + static_cast<std::int64_t>(kRecord) * item.first;
+    const float4* list = records + static_cast<std::int64_t>(kStride) * item.first;
     for (int e = thread; e < kRecord * item.count; e += kScatterThreads)
-      __pipeline_memcpy_async(&shared.data[e], list + e, sizeof(float4));
+      __pipeline_memcpy_async(&shared.data[e], list + e / kRecord * kStride + e % kRecord, sizeof(float4));
     __pipeline_commit();
     if (thread < kCells) shared.counts[thread] = 0;
     __pipeline_wait_prior(0);
@@ -344,7 +360,7 @@ class Reference {
     const std::int64_t n = in.x.shape[0];
     const TileGrid grid = grid_of(in, out);
     bins_ = particle_grid::Binning(grid, n, Policy::piece);
-    records_ = DeviceBuffer<float4>(static_cast<std::size_t>(kRecord * n));
+    records_ = DeviceBuffer<float4>(static_cast<std::size_t>(kStride * n));
     accumulators_ = DeviceBuffer<float4>(static_cast<std::size_t>(grid.tile_count()) * kTileNodes);
     int device = 0, processors = 0, resident = 0;
     GPUPHYS_CUDA(cudaGetDevice(&device));
