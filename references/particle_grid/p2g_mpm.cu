@@ -146,15 +146,26 @@ __global__ void __launch_bounds__(Policy::place_threads)
   }
 }
 
-struct ScatterShared {
-  // The list of the piece; later the sums of the cell columns: nodes 0..3 of each, then nodes 4 and 5.
+constexpr int kFetchRecords = kScatterThreads / kRecord;  // that the block's threads fetch at once
+constexpr int kFetches = (Policy::piece + kFetchRecords - 1) / kFetchRecords;
+static_assert(kScatterThreads % kRecord == 0);
+
+// Memory for the list of a piece; later the sums of the cell columns: nodes 0..3 of each, then 4 and 5.
+struct ListMemory {
   float4 data[std::max(kRecord * Policy::piece, kPlanes* kColumns* kSide)];
+};
+
+struct ScatterShared {
+  ListMemory lists[2];  // one in work, one on its way
   int counts[kCells];
   int starts[kCells + 1];
   unsigned short order[Policy::piece];
 };
 
-// Sums of one thread: nine nodes, {mass, momentum}, mass in units of a particle's.
+// Sums of one thread: nine nodes, {mass, momentum}, mass in units of a particle's. While particles are being
+// added, index 1 of y and z stands for the sum over the three nodes along that axis: three weights add up to
+// 1 and three slopes to 0, so that it takes no weight. resolve() leaves the middle node there. No digits
+// matter: the middle weight is 1/2 to 3/4 of the three.
 struct Sums {
   float s[kPlanes][kPlanes][4];  // [node along y][node along z]
 };
@@ -169,9 +180,10 @@ __device__ __forceinline__ void add_particle(Sums& sums, const bspline::Branch& 
   const float tau[3][3] = {{b.z, c.y, c.z}, {c.y, b.w, c.w}, {c.z, c.w, c.x}};
 #pragma unroll
   for (int oy = 0; oy < kPlanes; ++oy) {
-    const float wxy = wx * y.w[oy];
-#pragma unroll
-    for (int oz = 0; oz < kPlanes; ++oz) sums.s[oy][oz][0] += wxy * z.w[oz];
+    const float wxy = oy == 1 ? wx : wx * y.w[oy];
+    sums.s[oy][0][0] += wxy * z.w[0];
+    sums.s[oy][1][0] += wxy;
+    sums.s[oy][2][0] += wxy * z.w[2];
   }
 #pragma unroll
   for (int d = 0; d < 3; ++d) {
@@ -179,26 +191,51 @@ __device__ __forceinline__ void add_particle(Sums& sums, const bspline::Branch& 
     const float along_y = wx * tau[d][1], along_z = wx * tau[d][2];
 #pragma unroll
     for (int oy = 0; oy < kPlanes; ++oy) {
-      const float plain = y.w[oy] * along_x + y.slope[oy] * along_y;
-      const float sloped = y.w[oy] * along_z;
-#pragma unroll
-      for (int oz = 0; oz < kPlanes; ++oz) {
-        sums.s[oy][oz][1 + d] += z.w[oz] * plain;
-        sums.s[oy][oz][1 + d] += z.slope[oz] * sloped;
-      }
+      const float plain = oy == 1 ? along_x : y.w[oy] * along_x + y.slope[oy] * along_y;
+      const float sloped = oy == 1 ? along_z : y.w[oy] * along_z;
+      sums.s[oy][0][1 + d] += z.w[0] * plain;
+      sums.s[oy][0][1 + d] += z.slope[0] * sloped;
+      sums.s[oy][1][1 + d] += plain;
+      sums.s[oy][2][1 + d] += z.w[2] * plain;
+      sums.s[oy][2][1 + d] += z.slope[2] * sloped;
     }
   }
 }
 
+__device__ __forceinline__ void resolve(Sums& sums) {
+#pragma unroll
+  for (int q = 0; q < 4; ++q) {
+#pragma unroll
+    for (int oy = 0; oy < kPlanes; ++oy) sums.s[oy][1][q] -= sums.s[oy][0][q] + sums.s[oy][2][q];
+#pragma unroll
+    for (int oz = 0; oz < kPlanes; ++oz) sums.s[1][oz][q] -= sums.s[0][oz][q] + sums.s[2][oz][q];
+  }
+}
+
+// Asks for the records of a piece: three threads a record, nothing of the padding.
+__device__ __forceinline__ void fetch(ListMemory& list, const float4* __restrict__ records, int first,
+                                      int count) {
+  const int thread = static_cast<int>(threadIdx.x);
+  const int record = thread / kRecord, part = thread % kRecord;
+  const float4* from = records + static_cast<std::int64_t>(kStride) * (first + record) + part;
+#pragma unroll
+  for (int s = 0; s < kFetches; ++s) {
+    if (record + s * kFetchRecords < count)
+      __pipeline_memcpy_async(&list.data[s * kScatterThreads + thread], from + s * kStride * kFetchRecords,
+                              sizeof(float4));
+  }
+  __pipeline_commit();
+}
+
 // Sorts the piece's records by cell: order[starts[cell] ..) lists them.
-__device__ __forceinline__ void sort_by_cell(ScatterShared& shared, int count) {
+__device__ __forceinline__ void sort_by_cell(ScatterShared& shared, const ListMemory& list, int count) {
   const int thread = static_cast<int>(threadIdx.x);
   int cell[kRounds], rank[kRounds];
 #pragma unroll
   for (int s = 0; s < kRounds; ++s) {
     const int p = thread + s * kScatterThreads;
     if (p < count) {
-      const float4 a = shared.data[kRecord * p];
+      const float4 a = list.data[kRecord * p];
       cell[s] = (particle_grid::cell_of(a.x) * kTileSide + particle_grid::cell_of(a.y)) * kTileSide +
                 particle_grid::cell_of(a.z);
       rank[s] = atomicAdd(&shared.counts[cell[s]], 1);
@@ -227,7 +264,7 @@ __device__ __forceinline__ void sort_by_cell(ScatterShared& shared, int count) {
 }
 
 // Adds up a column's four cells (neighbouring lanes) and leaves its six nodes in shared memory.
-__device__ __forceinline__ void store_columns(ScatterShared& shared, const Sums& sums, int cell_z) {
+__device__ __forceinline__ void store_columns(ListMemory& list, const Sums& sums, int cell_z) {
   const int thread = static_cast<int>(threadIdx.x);
 #pragma unroll
   for (int oy = 0; oy < kPlanes; ++oy) {
@@ -239,9 +276,9 @@ __device__ __forceinline__ void store_columns(ScatterShared& shared, const Sums&
       const float next_below = __shfl_up_sync(0xffffffffu, next[q], 1, kTileSide);
       own[q] = sums.s[oy][0][q] + (cell_z > 0 ? next_below : 0.0f);
     }
-    shared.data[oy * kScatterThreads + thread] = make_float4(own[0], own[1], own[2], own[3]);
+    list.data[oy * kScatterThreads + thread] = make_float4(own[0], own[1], own[2], own[3]);
     if (cell_z == kTileSide - 1) {
-      float4* ends = shared.data + kPlanes * kScatterThreads + (oy * kColumns + thread / kTileSide) * 2;
+      float4* ends = list.data + kPlanes * kScatterThreads + (oy * kColumns + thread / kTileSide) * 2;
       ends[0] = make_float4(next[0], next[1], next[2], next[3]);
       ends[1] = make_float4(sums.s[oy][2][0], sums.s[oy][2][1], sums.s[oy][2][2], sums.s[oy][2][3]);
     }
@@ -249,14 +286,14 @@ __device__ __forceinline__ void store_columns(ScatterShared& shared, const Sums&
 }
 
 // Adds up the columns that reach each node of the tile and its halo, and adds the node to the grid.
-__device__ __forceinline__ void flush_nodes(const ScatterShared& shared, const TileGrid& grid, int tile,
+__device__ __forceinline__ void flush_nodes(const ListMemory& list, const TileGrid& grid, int tile,
                                             float4* __restrict__ accumulators) {
   const int tile_z = tile % grid.tiles[2], tile_y = tile / grid.tiles[2] % grid.tiles[1],
             tile_x = tile / grid.tiles[2] / grid.tiles[1];
   for (int node = static_cast<int>(threadIdx.x); node < kSide * kSide * kSide; node += kScatterThreads) {
     const int x = node / (kSide * kSide), y = node / kSide % kSide, z = node % kSide;
     const bool end = z >= kTileSide;
-    const float4* base = end ? shared.data + kPlanes * kScatterThreads + (z - kTileSide) : shared.data + z;
+    const float4* base = end ? list.data + kPlanes * kScatterThreads + (z - kTileSide) : list.data + z;
     const int stride = end ? 2 : kTileSide;
     float4 sum = make_float4(0.0f, 0.0f, 0.0f, 0.0f);
 #pragma unroll
@@ -286,7 +323,8 @@ __global__ void __launch_bounds__(kScatterThreads, Policy::scatter_blocks_per_sm
     scatter(const __grid_constant__ TileGrid grid, const WorkItem* __restrict__ items,
             const int* __restrict__ item_count, const float4* __restrict__ records,
             float4* __restrict__ accumulators) {
-  __shared__ ScatterShared shared;
+  extern __shared__ float4 memory[];
+  ScatterShared& shared = *reinterpret_cast<ScatterShared*>(memory);
   const int thread = static_cast<int>(threadIdx.x);
   const int cell_z = thread % kTileSide, column = thread / kTileSide;
   const int plane = column % kPlanes, cell_xy = column / kPlanes;
@@ -295,29 +333,34 @@ __global__ void __launch_bounds__(kScatterThreads, Policy::scatter_blocks_per_sm
   // The middle node of the cell's three, from the tile's first.
   const float centre[3] = {static_cast<float>(cell_xy / kTileSide + 1),
                            static_cast<float>(cell_xy % kTileSide + 1), static_cast<float>(cell_z + 1)};
-  const int n_items = *item_count;
-  for (int i = static_cast<int>(blockIdx.x); i < n_items; i += static_cast<int>(gridDim.x)) {
-    const WorkItem item = items[i];
-    const float4* list = records + static_cast<std::int64_t>(kStride) * item.first;
-    for (int e = thread; e < kRecord * item.count; e += kScatterThreads)
-      __pipeline_memcpy_async(&shared.data[e], list + e / kRecord * kStride + e % kRecord, sizeof(float4));
-    __pipeline_commit();
+  const int n_items = *item_count, step = static_cast<int>(gridDim.x);
+  int i = static_cast<int>(blockIdx.x);
+  if (i >= n_items) return;
+  WorkItem item = items[i];
+  fetch(shared.lists[0], records, item.first, item.count);
+  for (int buffer = 0;; buffer ^= 1) {
+    ListMemory& list = shared.lists[buffer];
     if (thread < kCells) shared.counts[thread] = 0;
+    i += step;
+    const WorkItem next = i < n_items ? items[i] : WorkItem{};
     __pipeline_wait_prior(0);
-    __syncthreads();
-    sort_by_cell(shared, item.count);
+    __syncthreads();  // the list is there, and the other list's sums are read
+    sort_by_cell(shared, list, item.count);
+    fetch(shared.lists[buffer ^ 1], records, next.first, next.count);
 
     Sums sums{};
     const int last = shared.starts[cell + 1];
     for (int q = shared.starts[cell]; q < last; ++q) {
-      const float4* record = shared.data + kRecord * shared.order[q];
+      const float4* record = list.data + kRecord * shared.order[q];
       add_particle(sums, branch, centre, record[0], record[1], record[2]);
     }
+    resolve(sums);
     __syncthreads();  // the list is read: its memory takes the sums
-    store_columns(shared, sums, cell_z);
+    store_columns(list, sums, cell_z);
     __syncthreads();
-    flush_nodes(shared, grid, item.tile, accumulators);
-    __syncthreads();
+    flush_nodes(list, grid, item.tile, accumulators);
+    if (i >= n_items) break;
+    item = next;
   }
 }
 
@@ -365,7 +408,12 @@ class Reference {
     int device = 0, processors = 0, resident = 0;
     GPUPHYS_CUDA(cudaGetDevice(&device));
     GPUPHYS_CUDA(cudaDeviceGetAttribute(&processors, cudaDevAttrMultiProcessorCount, device));
-    GPUPHYS_CUDA(cudaOccupancyMaxActiveBlocksPerMultiprocessor(&resident, scatter, kScatterThreads, 0));
+    GPUPHYS_CUDA(cudaFuncSetAttribute(scatter, cudaFuncAttributeMaxDynamicSharedMemorySize,
+                                      static_cast<int>(sizeof(ScatterShared))));
+    GPUPHYS_CUDA(cudaFuncSetAttribute(scatter, cudaFuncAttributePreferredSharedMemoryCarveout,
+                                      static_cast<int>(cudaSharedmemCarveoutMaxShared)));
+    GPUPHYS_CUDA(cudaOccupancyMaxActiveBlocksPerMultiprocessor(&resident, scatter, kScatterThreads,
+                                                               sizeof(ScatterShared)));
     scatter_blocks_ = processors * std::max(resident, 1);
   }
 
@@ -388,8 +436,8 @@ class Reference {
     const Moduli moduli{2.0f * in.mu * impulse, in.lambda * impulse};
     place<<<blocks(n, Policy::place_threads), Policy::place_threads>>>(grid, particles, moduli, bins.starts,
                                                                        bins.ranks, records_.get());
-    scatter<<<static_cast<unsigned>(scatter_blocks_), kScatterThreads>>>(grid, bins.items, bins.cursors + 1,
-                                                                         records_.get(), accumulators_.get());
+    scatter<<<static_cast<unsigned>(scatter_blocks_), kScatterThreads, sizeof(ScatterShared)>>>(
+        grid, bins.items, bins.cursors + 1, records_.get(), accumulators_.get());
     const std::int64_t columns = static_cast<std::int64_t>(grid.tiles[0]) * grid.nodes[1] * grid.nodes[2];
     normalise<<<blocks(columns, Policy::normalise_threads), Policy::normalise_threads>>>(
         grid, bins.touched, accumulators_.get(), Result{{out.ux.data, out.uy.data, out.uz.data}});
