@@ -117,9 +117,9 @@ __global__ void __launch_bounds__(Threads)
 }
 
 /// A piece of a tile's list.
-struct WorkItem {
+struct alignas(16) WorkItem {
   int first, count;  ///< slots in the list of all records
-  int tile, unused;
+  int4 tile;         ///< along x, y, z
 };
 
 /// Device memory of a binning, and what its kernels exchange.
@@ -145,6 +145,8 @@ __global__ void __launch_bounds__(Threads)
   const int tile = static_cast<int>(blockIdx.x) * Threads + static_cast<int>(threadIdx.x);
   const int lane = static_cast<int>(threadIdx.x) % 32, warp = static_cast<int>(threadIdx.x) / 32;
   const int tiles = grid.tile_count();
+  const int z = tile % grid.tiles[2], y = tile / grid.tiles[2] % grid.tiles[1],
+            x = tile / grid.tiles[2] / grid.tiles[1];
   const int count = tile < tiles ? bins.counts[tile] : 0;
   const int pieces = count / piece + (count % piece != 0);
 
@@ -180,15 +182,13 @@ __global__ void __launch_bounds__(Threads)
     int first = start;
     for (int s = 0; s < pieces; ++s) {
       const int n = length + (s < longer);
-      bins.items[first_item + s] = {first, n, tile, 0};
+      bins.items[first_item + s] = {first, n, make_int4(x, y, z, 0)};
       first += n;
     }
   }
 
   bool touched = false;
   if (tile < tiles) {
-    const int z = tile % grid.tiles[2], y = tile / grid.tiles[2] % grid.tiles[1],
-              x = tile / grid.tiles[2] / grid.tiles[1];
 #pragma unroll
     for (int s = 0; s < 8; ++s) {
       const int bx = x - s / 4, by = y - s / 2 % 2, bz = z - s % 2;
