@@ -4,24 +4,27 @@
 // corotated elasticity; 0 where no mass arrives.
 //
 // Passes over data in random order:
-//   count      a thread for four particles: position -> tile of 4^3 cells, an atomic returns the rank in the
-//   tile plan       a thread a tile: reserves the tile's slots, cuts lists longer than a block takes, clears
-//   node blocks place      a thread a particle: stress from F, packed record {offset 3, v 3, tau 6} to its
-//   slot in its tile scatter    a block for (a piece of) a tile's list: sorts it by cell in shared memory; a
-//   thread owns one cell and
+//   count      a thread for four particles: position -> tile of 4^3 cells; an atomic returns the rank there
+//   plan       a thread a tile: reserves its slots, cuts its list into pieces, clears node blocks
+//   place      a thread a particle: stress from F; the packed record {offset 3, v 3, tau 6, padding 4}
+//              goes to its slot in its tile's list, written by four lanes at once
+//   scatter    a block for a piece of a list: sorts it by cell in shared memory; a thread owns one cell and
 //              one of the three node planes along x and sums nine nodes' {mass, momentum} in registers;
 //              columns of cells are added up by shuffles, columns of the tile through shared memory; one
 //              vector reduction for each of the tile's 216 nodes goes out to L2
 //   normalise  a thread for four nodes: divides, writes zeros where no block reached
 //
-// What bounds it (16.86M particles): DRAM in count (269 MB) and place (1.89 GB), 0.5 ms together;
-// instructions in scatter, 125 for each of a particle's three planes, with 0.81 GB read meanwhile; 201 MB
-// written at the end. L2's atomics bound count if its 1.1 MB of counters are hit more slowly than the
-// positions arrive.
+// What bounds it (16.86M particles): returning atomics at L2 in count, 55 G/s whatever their addresses, and
+// 0.27 GB; DRAM in place, 1.08 GB read and 1.08 GB written at random places; instructions (113 for each of a
+// particle's three planes, half as many again around them) and shared memory wavefronts in scatter, with
+// 1.08 GB read meanwhile; 201 MB written at the end.
 //
-// What pays: a stress is computed once a particle in a pass that waits for memory anyway; summing in
-// registers first leaves about 14 shared stores and 8 loads a cell instead of 864 atomics; factoring the 27
-// weights (x outside, z inside) takes 12 multiply-adds a node for all four sums.
+// What pays: a stress is computed once a particle in a pass that waits for memory anyway. A record is two
+// whole sectors and leaves in one instruction: as three 16-byte stores at random places, records kept DRAM
+// busy with row changes (NOTES.md). The next piece's list is on its way while the present one is summed.
+// Summing in registers first leaves about 14 shared stores and 8 loads a cell instead of 864 atomics;
+// factoring the 27 weights (x outside, z inside), with the sum of three nodes in place of the middle one,
+// takes 10 multiply-adds and additions a node for all four sums.
 #include <cuda_pipeline.h>
 
 #include <algorithm>
