@@ -47,6 +47,13 @@ struct Policy {
   static constexpr int count_threads = 256;
   static constexpr int count_per_thread = 4;  // independent atomics in flight
   static constexpr int plan_threads = 256;
+  // Where the atomics that give particles their ranks wait: in count, which writes them to memory, or in
+  // place, which then finds slots for itself.
+#ifdef GPUPHYS_P2G_RANKS_IN_PLACE
+  static constexpr bool ranks_in_count = false;
+#else
+  static constexpr bool ranks_in_count = true;
+#endif
 #ifdef GPUPHYS_OTHER_BLOCKS
   static constexpr int place_threads = 128;
   static constexpr int piece = 320;
@@ -107,7 +114,7 @@ __device__ __forceinline__ void transpose_rows(float* __restrict__ stage, float 
 
 __global__ void __launch_bounds__(Policy::place_threads)
     place(const __grid_constant__ TileGrid grid, const __grid_constant__ Particles particles, Moduli moduli,
-          const int* __restrict__ starts, const int* __restrict__ ranks, float4* __restrict__ records) {
+          int* __restrict__ starts, const int* __restrict__ ranks, float4* __restrict__ records) {
   constexpr int per_warp = 32 * (3 + 3 + 9);
   constexpr int per_store = 32 / kStride;  // records that a warp writes at once
   __shared__ __align__(16) float staging[Policy::place_threads / 32][per_warp];
@@ -119,17 +126,19 @@ __global__ void __launch_bounds__(Policy::place_threads)
   load_rows(particles.x, first, particles.n, x);
   load_rows(particles.v, first, particles.n, v);
   load_rows(particles.f, first, particles.n, f);
-  const int rank = p < particles.n ? ranks[p] : -1;
+  int rank = p < particles.n ? 0 : -1;
+  if (Policy::ranks_in_count && rank == 0) rank = ranks[p];
   transpose_rows(stage, x);
+  const particle_grid::Place at = particle_grid::locate(grid, x[0], x[1], x[2]);
+  int slot = -1;
+  if (rank >= 0 && at.tile >= 0)
+    slot = Policy::ranks_in_count ? starts[at.tile] + rank : atomicAdd(starts + at.tile, 1);
   transpose_rows(stage + 32 * 3, v);
   transpose_rows(stage + 32 * 6, f);
   __syncwarp();  // the rows are read: their memory takes the records
 
   float4* packed = reinterpret_cast<float4*>(stage);
-  int slot = -1;
-  if (rank >= 0) {
-    const particle_grid::Place at = particle_grid::locate(grid, x[0], x[1], x[2]);
-    slot = starts[at.tile] + rank;
+  if (slot >= 0) {
     const polar::Matrix3 deformation{{{f[0], f[1], f[2]}, {f[3], f[4], f[5]}, {f[6], f[7], f[8]}}};
     const elasticity::SymmetricMatrix tau =
         elasticity::fixed_corotated(deformation, moduli.two_mu, moduli.lambda);
@@ -436,7 +445,7 @@ class Reference {
     };
     bins_.clear();
     constexpr int per_block = Policy::count_threads * Policy::count_per_thread;
-    particle_grid::count_particles<Policy::count_threads, Policy::count_per_thread>
+    particle_grid::count_particles<Policy::count_threads, Policy::count_per_thread, Policy::ranks_in_count>
         <<<blocks(n, per_block), Policy::count_threads>>>(grid, in.x.data, n, bins.counts, bins.ranks);
     particle_grid::plan_tiles<Policy::plan_threads>
         <<<blocks(grid.tile_count(), Policy::plan_threads), Policy::plan_threads>>>(grid, bins, Policy::piece,

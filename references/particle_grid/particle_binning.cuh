@@ -89,8 +89,9 @@ __device__ __forceinline__ void reduce_add(float4* sum, const float4& value) {
                : "memory");
 }
 
-/// counts[tile] += 1 for each particle; its rank among the tile's, or -1, goes to ranks. counts must be zero.
-template <int Threads, int PerThread>
+/// counts[tile] += 1 for each particle; its rank among the tile's, or -1, goes to ranks if Ranks says so.
+/// counts must be zero.
+template <int Threads, int PerThread, bool Ranks>
 __global__ void __launch_bounds__(Threads)
     count_particles(const __grid_constant__ TileGrid grid, const float* __restrict__ x, std::int64_t n,
                     int* __restrict__ counts, int* __restrict__ ranks) {
@@ -109,6 +110,7 @@ __global__ void __launch_bounds__(Threads)
     const int tile = locate(grid, position[s][0], position[s][1], position[s][2]).tile;
     rank[s] = p < n && tile >= 0 ? atomicAdd(&counts[tile], 1) : -1;
   }
+  if (!Ranks) return;
 #pragma unroll
   for (int s = 0; s < PerThread; ++s) {
     const std::int64_t p = first + s * Threads;
