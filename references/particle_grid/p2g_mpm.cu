@@ -75,7 +75,8 @@ constexpr int kScatterThreads = kColumns * kTileSide;      // one for each cell 
 constexpr int kRecord = 3;                                 // float4 a particle
 constexpr int kStride = 4;                                 // the same in memory: two whole sectors
 constexpr int kRounds = (Policy::piece + kScatterThreads - 1) / kScatterThreads;
-static_assert(kScatterThreads % 32 == 0, "shuffles need whole warps");
+constexpr int kWarpColumns = 32 / kTileSide;
+static_assert(kColumns % kWarpColumns == 0, "shuffles need whole columns in a warp");
 
 struct Particles {
   const float* __restrict__ x;
@@ -162,9 +163,13 @@ constexpr int kFetchRecords = kScatterThreads / kRecord;  // that the block's th
 constexpr int kFetches = (Policy::piece + kFetchRecords - 1) / kFetchRecords;
 static_assert(kScatterThreads % kRecord == 0);
 
-// Memory for the list of a piece; later the sums of the cell columns: nodes 0..3 of each, then 4 and 5.
+// Sums of the cell columns: [node along y, of the cell's three][node along z, of the tile's six][column].
+constexpr int kPlaneColumns = kColumns + 1;  // padded: nodes along z lie in different banks
+constexpr int kRowSums = kSide * kPlaneColumns;
+
+// Memory for the list of a piece; later the sums of the cell columns.
 struct ListMemory {
-  float4 data[std::max(kRecord * Policy::piece, kPlanes* kColumns* kSide)];
+  float4 data[std::max(kRecord * Policy::piece, kPlanes* kRowSums)];
 };
 
 struct ScatterShared {
@@ -281,24 +286,24 @@ __device__ __forceinline__ void sort_by_cell(ScatterShared& shared, const ListMe
   __syncthreads();
 }
 
-// Adds up a column's four cells (neighbouring lanes) and leaves its six nodes in shared memory.
-__device__ __forceinline__ void store_columns(ListMemory& list, const Sums& sums, int cell_z) {
-  const int thread = static_cast<int>(threadIdx.x);
+// Adds up a column's four cells (eight lanes apart) and leaves its six nodes in shared memory.
+__device__ __forceinline__ void store_columns(ListMemory& list, const Sums& sums, int column, int cell_z) {
 #pragma unroll
   for (int oy = 0; oy < kPlanes; ++oy) {
     float own[4], next[4];  // node cell_z, complete; node cell_z + 1 without the cell above's lowest plane
 #pragma unroll
     for (int q = 0; q < 4; ++q) {
-      const float top_below = __shfl_up_sync(0xffffffffu, sums.s[oy][2][q], 1, kTileSide);
+      const float top_below = __shfl_up_sync(0xffffffffu, sums.s[oy][2][q], kWarpColumns);
       next[q] = sums.s[oy][1][q] + (cell_z > 0 ? top_below : 0.0f);
-      const float next_below = __shfl_up_sync(0xffffffffu, next[q], 1, kTileSide);
+      const float next_below = __shfl_up_sync(0xffffffffu, next[q], kWarpColumns);
       own[q] = sums.s[oy][0][q] + (cell_z > 0 ? next_below : 0.0f);
     }
-    list.data[oy * kScatterThreads + thread] = make_float4(own[0], own[1], own[2], own[3]);
+    float4* nodes = list.data + oy * kRowSums + cell_z * kPlaneColumns + column;
+    nodes[0] = make_float4(own[0], own[1], own[2], own[3]);
     if (cell_z == kTileSide - 1) {
-      float4* ends = list.data + kPlanes * kScatterThreads + (oy * kColumns + thread / kTileSide) * 2;
-      ends[0] = make_float4(next[0], next[1], next[2], next[3]);
-      ends[1] = make_float4(sums.s[oy][2][0], sums.s[oy][2][1], sums.s[oy][2][2], sums.s[oy][2][3]);
+      nodes[kPlaneColumns] = make_float4(next[0], next[1], next[2], next[3]);
+      nodes[2 * kPlaneColumns] =
+          make_float4(sums.s[oy][2][0], sums.s[oy][2][1], sums.s[oy][2][2], sums.s[oy][2][3]);
     }
   }
 }
@@ -308,9 +313,7 @@ __device__ __forceinline__ void flush_nodes(const ListMemory& list, const TileGr
                                             float4* __restrict__ accumulators) {
   for (int node = static_cast<int>(threadIdx.x); node < kSide * kSide * kSide; node += kScatterThreads) {
     const int x = node / (kSide * kSide), y = node / kSide % kSide, z = node % kSide;
-    const bool end = z >= kTileSide;
-    const float4* base = end ? list.data + kPlanes * kScatterThreads + (z - kTileSide) : list.data + z;
-    const int stride = end ? 2 : kTileSide;
+    const float4* base = list.data + z * kPlaneColumns;
     float4 sum = make_float4(0.0f, 0.0f, 0.0f, 0.0f);
 #pragma unroll
     for (int ox = 0; ox < kPlanes; ++ox) {
@@ -319,7 +322,7 @@ __device__ __forceinline__ void flush_nodes(const ListMemory& list, const TileGr
         const int cx = x - ox, cy = y - oy;
         if (cx < 0 || cx >= kTileSide || cy < 0 || cy >= kTileSide) continue;
         const int column = (cx * kTileSide + cy) * kPlanes + ox;
-        const float4 part = base[(oy * kColumns + column) * stride];
+        const float4 part = base[oy * kRowSums + column];
         sum.x += part.x;
         sum.y += part.y;
         sum.z += part.z;
@@ -342,7 +345,8 @@ __global__ void __launch_bounds__(kScatterThreads, Policy::scatter_blocks_per_sm
   extern __shared__ float4 memory[];
   ScatterShared& shared = *reinterpret_cast<ScatterShared*>(memory);
   const int thread = static_cast<int>(threadIdx.x);
-  const int cell_z = thread % kTileSide, column = thread / kTileSide;
+  // Neighbouring lanes share cells, three planes each: they read the same records.
+  const int cell_z = thread % 32 / kWarpColumns, column = thread / 32 * kWarpColumns + thread % kWarpColumns;
   const int plane = column % kPlanes, cell_xy = column / kPlanes;
   const int cell = cell_xy * kTileSide + cell_z;
   const bspline::Branch branch = bspline::quadratic_branch(plane);
@@ -374,7 +378,7 @@ __global__ void __launch_bounds__(kScatterThreads, Policy::scatter_blocks_per_sm
     const int4 tile = items[i].tile;
     resolve(sums);
     __syncthreads();  // the list is read: its memory takes the sums
-    store_columns(list, sums, cell_z);
+    store_columns(list, sums, column, cell_z);
     __syncthreads();
     flush_nodes(list, grid, tile, accumulators);
     if (next >= n_items) break;
