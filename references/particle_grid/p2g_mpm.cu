@@ -4,24 +4,27 @@
 // corotated elasticity; 0 where no mass arrives.
 //
 // Passes over data in random order:
-//   count      a thread for four particles: position -> tile of 4^3 cells, an atomic returns the rank in the
-//   tile plan       a thread a tile: reserves the tile's slots, cuts lists longer than a block takes, clears
-//   node blocks place      a thread a particle: stress from F, packed record {offset 3, v 3, tau 6} to its
-//   slot in its tile scatter    a block for (a piece of) a tile's list: sorts it by cell in shared memory; a
-//   thread owns one cell and
+//   count      a thread for four particles: position -> tile of 4^3 cells; an atomic returns the rank there
+//   plan       a thread a tile: reserves its slots, cuts its list into pieces, clears node blocks
+//   place      a thread a particle: stress from F; the packed record {offset 3, v 3, tau 6, padding 4}
+//              goes to its slot in its tile's list, written by four lanes at once
+//   scatter    a block for a piece of a list: sorts it by cell in shared memory; a thread owns one cell and
 //              one of the three node planes along x and sums nine nodes' {mass, momentum} in registers;
 //              columns of cells are added up by shuffles, columns of the tile through shared memory; one
 //              vector reduction for each of the tile's 216 nodes goes out to L2
 //   normalise  a thread for four nodes: divides, writes zeros where no block reached
 //
-// What bounds it (16.86M particles): DRAM in count (269 MB) and place (1.89 GB), 0.5 ms together;
-// instructions in scatter, 125 for each of a particle's three planes, with 0.81 GB read meanwhile; 201 MB
-// written at the end. L2's atomics bound count if its 1.1 MB of counters are hit more slowly than the
-// positions arrive.
+// What bounds it (16.86M particles): returning atomics at L2 in count, 55 G/s whatever their addresses, and
+// 0.27 GB; DRAM in place, 1.08 GB read and 1.08 GB written at random places; instructions (113 for each of a
+// particle's three planes, half as many again around them) and shared memory wavefronts in scatter, with
+// 1.08 GB read meanwhile; 201 MB written at the end.
 //
-// What pays: a stress is computed once a particle in a pass that waits for memory anyway; summing in
-// registers first leaves about 14 shared stores and 8 loads a cell instead of 864 atomics; factoring the 27
-// weights (x outside, z inside) takes 12 multiply-adds a node for all four sums.
+// What pays: a stress is computed once a particle in a pass that waits for memory anyway. A record is two
+// whole sectors and leaves in one instruction: as three 16-byte stores at random places, records kept DRAM
+// busy with row changes (NOTES.md). The next piece's list is on its way while the present one is summed.
+// Summing in registers first leaves about 14 shared stores and 8 loads a cell instead of 864 atomics;
+// factoring the 27 weights (x outside, z inside), with the sum of three nodes in place of the middle one,
+// takes 10 multiply-adds and additions a node for all four sums.
 #include <cuda_pipeline.h>
 
 #include <algorithm>
@@ -44,6 +47,13 @@ struct Policy {
   static constexpr int count_threads = 256;
   static constexpr int count_per_thread = 4;  // independent atomics in flight
   static constexpr int plan_threads = 256;
+  // Where the atomics that give particles their ranks wait: in count, which writes them to memory, or in
+  // place, which then finds slots for itself.
+#ifdef GPUPHYS_P2G_RANKS_IN_PLACE
+  static constexpr bool ranks_in_count = false;
+#else
+  static constexpr bool ranks_in_count = true;
+#endif
 #ifdef GPUPHYS_OTHER_BLOCKS
   static constexpr int place_threads = 128;
   static constexpr int piece = 320;
@@ -63,8 +73,10 @@ constexpr int kCells = kTileSide * kTileSide * kTileSide;  // of a tile
 constexpr int kColumns = kTileSide * kTileSide * kPlanes;  // (cell x, cell y, plane)
 constexpr int kScatterThreads = kColumns * kTileSide;      // one for each cell of each column
 constexpr int kRecord = 3;                                 // float4 a particle
+constexpr int kStride = 4;                                 // the same in memory: two whole sectors
 constexpr int kRounds = (Policy::piece + kScatterThreads - 1) / kScatterThreads;
-static_assert(kScatterThreads % 32 == 0, "shuffles need whole warps");
+constexpr int kWarpColumns = 32 / kTileSide;
+static_assert(kColumns % kWarpColumns == 0, "shuffles need whole columns in a warp");
 
 struct Particles {
   const float* __restrict__ x;
@@ -103,42 +115,74 @@ __device__ __forceinline__ void transpose_rows(float* __restrict__ stage, float 
 
 __global__ void __launch_bounds__(Policy::place_threads)
     place(const __grid_constant__ TileGrid grid, const __grid_constant__ Particles particles, Moduli moduli,
-          const int* __restrict__ starts, const int* __restrict__ ranks, float4* __restrict__ records) {
+          int* __restrict__ starts, const int* __restrict__ ranks, float4* __restrict__ records) {
   constexpr int per_warp = 32 * (3 + 3 + 9);
-  __shared__ float staging[Policy::place_threads / 32][per_warp];
+  constexpr int per_store = 32 / kStride;  // records that a warp writes at once
+  __shared__ __align__(16) float staging[Policy::place_threads / 32][per_warp];
   float* stage = staging[threadIdx.x / 32];
+  const int lane = static_cast<int>(threadIdx.x) % 32;
   const std::int64_t p = static_cast<std::int64_t>(blockIdx.x) * Policy::place_threads + threadIdx.x;
-  const std::int64_t first = p - threadIdx.x % 32;
+  const std::int64_t first = p - lane;
   float x[3], v[3], f[9];
   load_rows(particles.x, first, particles.n, x);
   load_rows(particles.v, first, particles.n, v);
   load_rows(particles.f, first, particles.n, f);
-  const int rank = p < particles.n ? ranks[p] : -1;
+  int rank = p < particles.n ? 0 : -1;
+  if (Policy::ranks_in_count && rank == 0) rank = ranks[p];
   transpose_rows(stage, x);
+  const particle_grid::Place at = particle_grid::locate(grid, x[0], x[1], x[2]);
+  int slot = -1;
+  if (rank >= 0 && at.tile >= 0)
+    slot = Policy::ranks_in_count ? starts[at.tile] + rank : atomicAdd(starts + at.tile, 1);
   transpose_rows(stage + 32 * 3, v);
   transpose_rows(stage + 32 * 6, f);
-  if (rank < 0) return;
+  __syncwarp();  // the rows are read: their memory takes the records
 
-  const particle_grid::Place at = particle_grid::locate(grid, x[0], x[1], x[2]);
-  const polar::Matrix3 deformation{{{f[0], f[1], f[2]}, {f[3], f[4], f[5]}, {f[6], f[7], f[8]}}};
-  const elasticity::SymmetricMatrix tau =
-      elasticity::fixed_corotated(deformation, moduli.two_mu, moduli.lambda);
-  const std::int64_t slot = starts[at.tile] + rank;
-  float4* record = records + kRecord * slot;
-  record[0] = make_float4(at.offset[0], at.offset[1], at.offset[2], v[0]);
-  record[1] = make_float4(v[1], v[2], tau.xx, tau.yy);
-  record[2] = make_float4(tau.zz, tau.xy, tau.xz, tau.yz);
+  float4* packed = reinterpret_cast<float4*>(stage);
+  if (slot >= 0) {
+    const polar::Matrix3 deformation{{{f[0], f[1], f[2]}, {f[3], f[4], f[5]}, {f[6], f[7], f[8]}}};
+    const elasticity::SymmetricMatrix tau =
+        elasticity::fixed_corotated(deformation, moduli.two_mu, moduli.lambda);
+    packed[kRecord * lane] = make_float4(at.offset[0], at.offset[1], at.offset[2], v[0]);
+    packed[kRecord * lane + 1] = make_float4(v[1], v[2], tau.xx, tau.yy);
+    packed[kRecord * lane + 2] = make_float4(tau.zz, tau.xy, tau.xz, tau.yz);
+  }
+  __syncwarp();
+  const int part = lane % kStride;
+#pragma unroll
+  for (int s = 0; s < kStride; ++s) {
+    const int item = s * per_store + lane / kStride;
+    const int to = __shfl_sync(0xffffffffu, slot, item);
+    if (to < 0) continue;
+    records[static_cast<std::int64_t>(kStride) * to + part] =
+        part < kRecord ? packed[kRecord * item + part] : make_float4(0.0f, 0.0f, 0.0f, 0.0f);
+  }
 }
 
+constexpr int kFetchRecords = kScatterThreads / kRecord;  // that the block's threads fetch at once
+constexpr int kFetches = (Policy::piece + kFetchRecords - 1) / kFetchRecords;
+static_assert(kScatterThreads % kRecord == 0);
+
+// Sums of the cell columns: [node along y, of the cell's three][node along z, of the tile's six][column].
+constexpr int kPlaneColumns = kColumns + 1;  // padded: nodes along z lie in different banks
+constexpr int kRowSums = kSide * kPlaneColumns;
+
+// Memory for the list of a piece; later the sums of the cell columns.
+struct ListMemory {
+  float4 data[std::max(kRecord * Policy::piece, kPlanes* kRowSums)];
+};
+
 struct ScatterShared {
-  // The list of the piece; later the sums of the cell columns: nodes 0..3 of each, then nodes 4 and 5.
-  float4 data[std::max(kRecord * Policy::piece, kPlanes* kColumns* kSide)];
+  ListMemory lists[2];  // one in work, one on its way
   int counts[kCells];
   int starts[kCells + 1];
   unsigned short order[Policy::piece];
 };
 
-// Sums of one thread: nine nodes, {mass, momentum}, mass in units of a particle's.
+// Sums of one thread: nine nodes, {mass, momentum}, mass in units of a particle's. While particles are being
+// added, index 1 of y and z stands for the sum over the three nodes along that axis: three weights add up to
+// 1 and three slopes to 0, so that it takes no weight. resolve() leaves the middle node there. No digits
+// matter: the middle weight is 1/2 to 3/4 of the three.
 struct Sums {
   float s[kPlanes][kPlanes][4];  // [node along y][node along z]
 };
@@ -153,9 +197,10 @@ __device__ __forceinline__ void add_particle(Sums& sums, const bspline::Branch& 
   const float tau[3][3] = {{b.z, c.y, c.z}, {c.y, b.w, c.w}, {c.z, c.w, c.x}};
 #pragma unroll
   for (int oy = 0; oy < kPlanes; ++oy) {
-    const float wxy = wx * y.w[oy];
-#pragma unroll
-    for (int oz = 0; oz < kPlanes; ++oz) sums.s[oy][oz][0] += wxy * z.w[oz];
+    const float wxy = oy == 1 ? wx : wx * y.w[oy];
+    sums.s[oy][0][0] += wxy * z.w[0];
+    sums.s[oy][1][0] += wxy;
+    sums.s[oy][2][0] += wxy * z.w[2];
   }
 #pragma unroll
   for (int d = 0; d < 3; ++d) {
@@ -163,26 +208,57 @@ __device__ __forceinline__ void add_particle(Sums& sums, const bspline::Branch& 
     const float along_y = wx * tau[d][1], along_z = wx * tau[d][2];
 #pragma unroll
     for (int oy = 0; oy < kPlanes; ++oy) {
-      const float plain = y.w[oy] * along_x + y.slope[oy] * along_y;
-      const float sloped = y.w[oy] * along_z;
-#pragma unroll
-      for (int oz = 0; oz < kPlanes; ++oz) {
-        sums.s[oy][oz][1 + d] += z.w[oz] * plain;
-        sums.s[oy][oz][1 + d] += z.slope[oz] * sloped;
-      }
+      const float plain = oy == 1 ? along_x : y.w[oy] * along_x + y.slope[oy] * along_y;
+      const float sloped = oy == 1 ? along_z : y.w[oy] * along_z;
+      sums.s[oy][0][1 + d] += z.w[0] * plain;
+      sums.s[oy][0][1 + d] += z.slope[0] * sloped;
+      sums.s[oy][1][1 + d] += plain;
+      sums.s[oy][2][1 + d] += z.w[2] * plain;
+      sums.s[oy][2][1 + d] += z.slope[2] * sloped;
     }
   }
 }
 
+__device__ __forceinline__ void resolve(Sums& sums) {
+#pragma unroll
+  for (int q = 0; q < 4; ++q) {
+#pragma unroll
+    for (int oy = 0; oy < kPlanes; ++oy) sums.s[oy][1][q] -= sums.s[oy][0][q] + sums.s[oy][2][q];
+#pragma unroll
+    for (int oz = 0; oz < kPlanes; ++oz) sums.s[1][oz][q] -= sums.s[0][oz][q] + sums.s[2][oz][q];
+  }
+}
+
+// 16 bytes to shared memory, past the registers. Spelled out: with one 32-bit address for all copies of a
+// thread their distances become constants of the instructions.
+__device__ __forceinline__ void copy_async(unsigned to_shared, const float4* from) {
+  asm volatile("cp.async.cg.shared.global [%0], [%1], 16;" : : "r"(to_shared), "l"(from) : "memory");
+}
+
+// Asks for the records of a piece: three threads a record, nothing of the padding.
+__device__ __forceinline__ void fetch(ListMemory& list, const float4* __restrict__ records, int first,
+                                      int count) {
+  const int thread = static_cast<int>(threadIdx.x);
+  const int record = thread / kRecord, part = thread % kRecord;
+  const float4* from = records + static_cast<std::int64_t>(kStride) * (first + record) + part;
+  const auto to = static_cast<unsigned>(__cvta_generic_to_shared(list.data + thread));
+#pragma unroll
+  for (int s = 0; s < kFetches; ++s) {
+    if (record + s * kFetchRecords < count)
+      copy_async(to + s * kScatterThreads * sizeof(float4), from + s * kStride * kFetchRecords);
+  }
+  __pipeline_commit();
+}
+
 // Sorts the piece's records by cell: order[starts[cell] ..) lists them.
-__device__ __forceinline__ void sort_by_cell(ScatterShared& shared, int count) {
+__device__ __forceinline__ void sort_by_cell(ScatterShared& shared, const ListMemory& list, int count) {
   const int thread = static_cast<int>(threadIdx.x);
   int cell[kRounds], rank[kRounds];
 #pragma unroll
   for (int s = 0; s < kRounds; ++s) {
     const int p = thread + s * kScatterThreads;
     if (p < count) {
-      const float4 a = shared.data[kRecord * p];
+      const float4 a = list.data[kRecord * p];
       cell[s] = (particle_grid::cell_of(a.x) * kTileSide + particle_grid::cell_of(a.y)) * kTileSide +
                 particle_grid::cell_of(a.z);
       rank[s] = atomicAdd(&shared.counts[cell[s]], 1);
@@ -210,38 +286,34 @@ __device__ __forceinline__ void sort_by_cell(ScatterShared& shared, int count) {
   __syncthreads();
 }
 
-// Adds up a column's four cells (neighbouring lanes) and leaves its six nodes in shared memory.
-__device__ __forceinline__ void store_columns(ScatterShared& shared, const Sums& sums, int cell_z) {
-  const int thread = static_cast<int>(threadIdx.x);
+// Adds up a column's four cells (eight lanes apart) and leaves its six nodes in shared memory.
+__device__ __forceinline__ void store_columns(ListMemory& list, const Sums& sums, int column, int cell_z) {
 #pragma unroll
   for (int oy = 0; oy < kPlanes; ++oy) {
     float own[4], next[4];  // node cell_z, complete; node cell_z + 1 without the cell above's lowest plane
 #pragma unroll
     for (int q = 0; q < 4; ++q) {
-      const float top_below = __shfl_up_sync(0xffffffffu, sums.s[oy][2][q], 1, kTileSide);
+      const float top_below = __shfl_up_sync(0xffffffffu, sums.s[oy][2][q], kWarpColumns);
       next[q] = sums.s[oy][1][q] + (cell_z > 0 ? top_below : 0.0f);
-      const float next_below = __shfl_up_sync(0xffffffffu, next[q], 1, kTileSide);
+      const float next_below = __shfl_up_sync(0xffffffffu, next[q], kWarpColumns);
       own[q] = sums.s[oy][0][q] + (cell_z > 0 ? next_below : 0.0f);
     }
-    shared.data[oy * kScatterThreads + thread] = make_float4(own[0], own[1], own[2], own[3]);
+    float4* nodes = list.data + oy * kRowSums + cell_z * kPlaneColumns + column;
+    nodes[0] = make_float4(own[0], own[1], own[2], own[3]);
     if (cell_z == kTileSide - 1) {
-      float4* ends = shared.data + kPlanes * kScatterThreads + (oy * kColumns + thread / kTileSide) * 2;
-      ends[0] = make_float4(next[0], next[1], next[2], next[3]);
-      ends[1] = make_float4(sums.s[oy][2][0], sums.s[oy][2][1], sums.s[oy][2][2], sums.s[oy][2][3]);
+      nodes[kPlaneColumns] = make_float4(next[0], next[1], next[2], next[3]);
+      nodes[2 * kPlaneColumns] =
+          make_float4(sums.s[oy][2][0], sums.s[oy][2][1], sums.s[oy][2][2], sums.s[oy][2][3]);
     }
   }
 }
 
 // Adds up the columns that reach each node of the tile and its halo, and adds the node to the grid.
-__device__ __forceinline__ void flush_nodes(const ScatterShared& shared, const TileGrid& grid, int tile,
+__device__ __forceinline__ void flush_nodes(const ListMemory& list, const TileGrid& grid, const int4& tile,
                                             float4* __restrict__ accumulators) {
-  const int tile_z = tile % grid.tiles[2], tile_y = tile / grid.tiles[2] % grid.tiles[1],
-            tile_x = tile / grid.tiles[2] / grid.tiles[1];
   for (int node = static_cast<int>(threadIdx.x); node < kSide * kSide * kSide; node += kScatterThreads) {
     const int x = node / (kSide * kSide), y = node / kSide % kSide, z = node % kSide;
-    const bool end = z >= kTileSide;
-    const float4* base = end ? shared.data + kPlanes * kScatterThreads + (z - kTileSide) : shared.data + z;
-    const int stride = end ? 2 : kTileSide;
+    const float4* base = list.data + z * kPlaneColumns;
     float4 sum = make_float4(0.0f, 0.0f, 0.0f, 0.0f);
 #pragma unroll
     for (int ox = 0; ox < kPlanes; ++ox) {
@@ -250,7 +322,7 @@ __device__ __forceinline__ void flush_nodes(const ScatterShared& shared, const T
         const int cx = x - ox, cy = y - oy;
         if (cx < 0 || cx >= kTileSide || cy < 0 || cy >= kTileSide) continue;
         const int column = (cx * kTileSide + cy) * kPlanes + ox;
-        const float4 part = base[(oy * kColumns + column) * stride];
+        const float4 part = base[oy * kRowSums + column];
         sum.x += part.x;
         sum.y += part.y;
         sum.z += part.z;
@@ -258,9 +330,9 @@ __device__ __forceinline__ void flush_nodes(const ScatterShared& shared, const T
       }
     }
     if (!(sum.x > 0.0f)) continue;
-    const int i = kTileSide * tile_x - 2 + x, j = kTileSide * tile_y - 2 + y, k = kTileSide * tile_z - 2 + z;
+    const int i = kTileSide * tile.x - 2 + x, j = kTileSide * tile.y - 2 + y, k = kTileSide * tile.z - 2 + z;
     if (i < 0 || i >= grid.nodes[0] || j < 0 || j >= grid.nodes[1] || k < 0 || k >= grid.nodes[2]) continue;
-    const int block = grid.tile(tile_x + x / kTileSide, tile_y + y / kTileSide, tile_z + z / kTileSide);
+    const int block = grid.tile(tile.x + x / kTileSide, tile.y + y / kTileSide, tile.z + z / kTileSide);
     const int local = (x % kTileSide * kTileSide + y % kTileSide) * kTileSide + z % kTileSide;
     particle_grid::reduce_add(accumulators + static_cast<std::size_t>(block) * kTileNodes + local, sum);
   }
@@ -270,38 +342,48 @@ __global__ void __launch_bounds__(kScatterThreads, Policy::scatter_blocks_per_sm
     scatter(const __grid_constant__ TileGrid grid, const WorkItem* __restrict__ items,
             const int* __restrict__ item_count, const float4* __restrict__ records,
             float4* __restrict__ accumulators) {
-  __shared__ ScatterShared shared;
+  extern __shared__ float4 memory[];
+  ScatterShared& shared = *reinterpret_cast<ScatterShared*>(memory);
   const int thread = static_cast<int>(threadIdx.x);
-  const int cell_z = thread % kTileSide, column = thread / kTileSide;
+  // Neighbouring lanes share cells, three planes each: they read the same records.
+  const int cell_z = thread % 32 / kWarpColumns, column = thread / 32 * kWarpColumns + thread % kWarpColumns;
   const int plane = column % kPlanes, cell_xy = column / kPlanes;
   const int cell = cell_xy * kTileSide + cell_z;
   const bspline::Branch branch = bspline::quadratic_branch(plane);
   // The middle node of the cell's three, from the tile's first.
   const float centre[3] = {static_cast<float>(cell_xy / kTileSide + 1),
                            static_cast<float>(cell_xy % kTileSide + 1), static_cast<float>(cell_z + 1)};
-  const int n_items = *item_count;
-  for (int i = static_cast<int>(blockIdx.x); i < n_items; i += static_cast<int>(gridDim.x)) {
-    const WorkItem item = items[i];
-    const float4* list = records + static_cast<std::int64_t>(kRecord) * item.first;
-    for (int e = thread; e < kRecord * item.count; e += kScatterThreads)
-      __pipeline_memcpy_async(&shared.data[e], list + e, sizeof(float4));
-    __pipeline_commit();
+  const int n_items = *item_count, step = static_cast<int>(gridDim.x);
+  int i = static_cast<int>(blockIdx.x);
+  if (i >= n_items) return;
+  int count = items[i].count;
+  fetch(shared.lists[0], records, items[i].first, count);
+  for (int buffer = 0;; buffer ^= 1) {
+    ListMemory& list = shared.lists[buffer];
     if (thread < kCells) shared.counts[thread] = 0;
+    const int next = i + step;
+    const int next_first = next < n_items ? items[next].first : 0;
+    const int next_count = next < n_items ? items[next].count : 0;
     __pipeline_wait_prior(0);
-    __syncthreads();
-    sort_by_cell(shared, item.count);
+    __syncthreads();  // the list is there, and the other list's sums are read
+    sort_by_cell(shared, list, count);
+    fetch(shared.lists[buffer ^ 1], records, next_first, next_count);
 
     Sums sums{};
     const int last = shared.starts[cell + 1];
     for (int q = shared.starts[cell]; q < last; ++q) {
-      const float4* record = shared.data + kRecord * shared.order[q];
+      const float4* record = list.data + kRecord * shared.order[q];
       add_particle(sums, branch, centre, record[0], record[1], record[2]);
     }
+    const int4 tile = items[i].tile;
+    resolve(sums);
     __syncthreads();  // the list is read: its memory takes the sums
-    store_columns(shared, sums, cell_z);
+    store_columns(list, sums, column, cell_z);
     __syncthreads();
-    flush_nodes(shared, grid, item.tile, accumulators);
-    __syncthreads();
+    flush_nodes(list, grid, tile, accumulators);
+    if (next >= n_items) break;
+    i = next;
+    count = next_count;
   }
 }
 
@@ -344,12 +426,17 @@ class Reference {
     const std::int64_t n = in.x.shape[0];
     const TileGrid grid = grid_of(in, out);
     bins_ = particle_grid::Binning(grid, n, Policy::piece);
-    records_ = DeviceBuffer<float4>(static_cast<std::size_t>(kRecord * n));
+    records_ = DeviceBuffer<float4>(static_cast<std::size_t>(kStride * n));
     accumulators_ = DeviceBuffer<float4>(static_cast<std::size_t>(grid.tile_count()) * kTileNodes);
     int device = 0, processors = 0, resident = 0;
     GPUPHYS_CUDA(cudaGetDevice(&device));
     GPUPHYS_CUDA(cudaDeviceGetAttribute(&processors, cudaDevAttrMultiProcessorCount, device));
-    GPUPHYS_CUDA(cudaOccupancyMaxActiveBlocksPerMultiprocessor(&resident, scatter, kScatterThreads, 0));
+    GPUPHYS_CUDA(cudaFuncSetAttribute(scatter, cudaFuncAttributeMaxDynamicSharedMemorySize,
+                                      static_cast<int>(sizeof(ScatterShared))));
+    GPUPHYS_CUDA(cudaFuncSetAttribute(scatter, cudaFuncAttributePreferredSharedMemoryCarveout,
+                                      static_cast<int>(cudaSharedmemCarveoutMaxShared)));
+    GPUPHYS_CUDA(cudaOccupancyMaxActiveBlocksPerMultiprocessor(&resident, scatter, kScatterThreads,
+                                                               sizeof(ScatterShared)));
     scatter_blocks_ = processors * std::max(resident, 1);
   }
 
@@ -362,7 +449,7 @@ class Reference {
     };
     bins_.clear();
     constexpr int per_block = Policy::count_threads * Policy::count_per_thread;
-    particle_grid::count_particles<Policy::count_threads, Policy::count_per_thread>
+    particle_grid::count_particles<Policy::count_threads, Policy::count_per_thread, Policy::ranks_in_count>
         <<<blocks(n, per_block), Policy::count_threads>>>(grid, in.x.data, n, bins.counts, bins.ranks);
     particle_grid::plan_tiles<Policy::plan_threads>
         <<<blocks(grid.tile_count(), Policy::plan_threads), Policy::plan_threads>>>(grid, bins, Policy::piece,
@@ -372,8 +459,8 @@ class Reference {
     const Moduli moduli{2.0f * in.mu * impulse, in.lambda * impulse};
     place<<<blocks(n, Policy::place_threads), Policy::place_threads>>>(grid, particles, moduli, bins.starts,
                                                                        bins.ranks, records_.get());
-    scatter<<<static_cast<unsigned>(scatter_blocks_), kScatterThreads>>>(grid, bins.items, bins.cursors + 1,
-                                                                         records_.get(), accumulators_.get());
+    scatter<<<static_cast<unsigned>(scatter_blocks_), kScatterThreads, sizeof(ScatterShared)>>>(
+        grid, bins.items, bins.cursors + 1, records_.get(), accumulators_.get());
     const std::int64_t columns = static_cast<std::int64_t>(grid.tiles[0]) * grid.nodes[1] * grid.nodes[2];
     normalise<<<blocks(columns, Policy::normalise_threads), Policy::normalise_threads>>>(
         grid, bins.touched, accumulators_.get(), Result{{out.ux.data, out.uy.data, out.uz.data}});

@@ -89,8 +89,9 @@ __device__ __forceinline__ void reduce_add(float4* sum, const float4& value) {
                : "memory");
 }
 
-/// counts[tile] += 1 for each particle; its rank among the tile's, or -1, goes to ranks. counts must be zero.
-template <int Threads, int PerThread>
+/// counts[tile] += 1 for each particle; its rank among the tile's, or -1, goes to ranks if Ranks says so.
+/// counts must be zero.
+template <int Threads, int PerThread, bool Ranks>
 __global__ void __launch_bounds__(Threads)
     count_particles(const __grid_constant__ TileGrid grid, const float* __restrict__ x, std::int64_t n,
                     int* __restrict__ counts, int* __restrict__ ranks) {
@@ -109,6 +110,7 @@ __global__ void __launch_bounds__(Threads)
     const int tile = locate(grid, position[s][0], position[s][1], position[s][2]).tile;
     rank[s] = p < n && tile >= 0 ? atomicAdd(&counts[tile], 1) : -1;
   }
+  if (!Ranks) return;
 #pragma unroll
   for (int s = 0; s < PerThread; ++s) {
     const std::int64_t p = first + s * Threads;
@@ -117,9 +119,9 @@ __global__ void __launch_bounds__(Threads)
 }
 
 /// A piece of a tile's list.
-struct WorkItem {
+struct alignas(16) WorkItem {
   int first, count;  ///< slots in the list of all records
-  int tile, unused;
+  int4 tile;         ///< along x, y, z
 };
 
 /// Device memory of a binning, and what its kernels exchange.
@@ -145,6 +147,8 @@ __global__ void __launch_bounds__(Threads)
   const int tile = static_cast<int>(blockIdx.x) * Threads + static_cast<int>(threadIdx.x);
   const int lane = static_cast<int>(threadIdx.x) % 32, warp = static_cast<int>(threadIdx.x) / 32;
   const int tiles = grid.tile_count();
+  const int z = tile % grid.tiles[2], y = tile / grid.tiles[2] % grid.tiles[1],
+            x = tile / grid.tiles[2] / grid.tiles[1];
   const int count = tile < tiles ? bins.counts[tile] : 0;
   const int pieces = count / piece + (count % piece != 0);
 
@@ -180,15 +184,13 @@ __global__ void __launch_bounds__(Threads)
     int first = start;
     for (int s = 0; s < pieces; ++s) {
       const int n = length + (s < longer);
-      bins.items[first_item + s] = {first, n, tile, 0};
+      bins.items[first_item + s] = {first, n, make_int4(x, y, z, 0)};
       first += n;
     }
   }
 
   bool touched = false;
   if (tile < tiles) {
-    const int z = tile % grid.tiles[2], y = tile / grid.tiles[2] % grid.tiles[1],
-              x = tile / grid.tiles[2] / grid.tiles[1];
 #pragma unroll
     for (int s = 0; s < 8; ++s) {
       const int bx = x - s / 4, by = y - s / 2 % 2, bz = z - s % 2;
