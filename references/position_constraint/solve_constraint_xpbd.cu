@@ -35,12 +35,24 @@ struct Policy {
   static constexpr int threads = 128;
   static constexpr int lanes = 8;
   static constexpr int unroll = 2;
-  static constexpr bool renumber = true;
+  static constexpr int blocks = 100;
+  static constexpr int count_threads = 256;
+  static constexpr int split_threads = 256;
+  static constexpr int split_items = 4;
+  static constexpr int bin_shift = 9;
+  static constexpr int sort_threads = 512;
+  static constexpr int sort_capacity = 6000;
 #else
   static constexpr int threads = 256;
-  static constexpr int lanes = 4;          // a row of 12 half-springs is three full turns
-  static constexpr int unroll = 3;         // and all of them are in flight at once
-  static constexpr bool renumber = false;  // particles by the Morton code of their cell
+  static constexpr int lanes = 4;     // a row of 12 half-springs is three full turns
+  static constexpr int unroll = 3;    // and all of them are in flight at once
+  static constexpr int blocks = 264;  // that sort a share of the springs: two a multiprocessor
+  static constexpr int count_threads = 1024;
+  static constexpr int split_threads = 512;
+  static constexpr int split_items = 8;  // 8192 half-springs sorted in 96 KB of shared memory
+  static constexpr int bin_shift = 10;   // 1024 particles a bin, about 12 thousand half-springs
+  static constexpr int sort_threads = 1024;
+  static constexpr int sort_capacity = 13312;  // half-springs, 104 KB: two blocks a multiprocessor
 #endif
 };
 
@@ -57,8 +69,8 @@ class Reference {
       throw std::runtime_error("more particles or springs than 32 bits count");
     n_ = static_cast<int>(n);
     m_ = static_cast<int>(m);
-    rows_ = springs::HalfSprings(n_, m_, Policy::renumber);
-    if (Policy::renumber) order_ = spatial::Order(n_);
+    rows_ = springs::HalfSprings<Policy>(n_, m_);
+    order_ = spatial::Order(n_);
     multiplier_ = DeviceBuffer<float>(2 * static_cast<std::size_t>(m));
     for (DeviceBuffer<springs::Particle>& p : particles_) {
       p = DeviceBuffer<springs::Particle>(static_cast<std::size_t>(n));
@@ -67,13 +79,12 @@ class Reference {
 
   void compute(const Inputs& in, const Outputs<float>& out) {
     if (n_ == 0) return;
-    if (Policy::renumber) order_.build(in.x.data, n_, Policy::threads);
-    rows_.build(reinterpret_cast<const int2*>(in.springs.data), in.rest.data, order_.number(), n_, m_,
-                Policy::threads);
+    order_.build(in.x.data, n_, Policy::threads);
+    rows_.build(reinterpret_cast<const int2*>(in.springs.data), in.rest.data, order_.number());
     springs::Particle* now = particles_[0].get();
     springs::Particle* next = particles_[1].get();
     springs::place_particles<<<blocks_for(n_), Policy::threads>>>(in.x.data, in.inv_mass.data, order_.order(),
-                                                                  rows_.begin(), n_, now, next);
+                                                                  rows_.begin(), n_, now);
     const float dt = in.dt;
     const float alpha = in.compliance / (dt * dt);
     const int iterations = in.iters;
@@ -87,8 +98,8 @@ class Reference {
 
  private:
   int n_ = 0, m_ = 0;
-  springs::HalfSprings rows_;
-  spatial::Order order_;  // without memory, and its pointers null, unless particles are renumbered
+  springs::HalfSprings<Policy> rows_;
+  spatial::Order order_;
   DeviceBuffer<float> multiplier_;
   DeviceBuffer<springs::Particle> particles_[2];
 };
