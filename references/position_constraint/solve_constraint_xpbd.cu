@@ -80,20 +80,20 @@ class Reference {
   void compute(const Inputs& in, const Outputs<float>& out) {
     if (n_ == 0) return;
     order_.build(in.x.data, n_, Policy::threads);
-    rows_.build(reinterpret_cast<const int2*>(in.springs.data), in.rest.data, order_.number());
     springs::Particle* now = particles_[0].get();
     springs::Particle* next = particles_[1].get();
-    springs::place_particles<<<blocks_for(n_), Policy::threads>>>(in.x.data, in.inv_mass.data, order_.order(),
-                                                                  rows_.begin(), n_, now);
+    rows_.build(reinterpret_cast<const int2*>(in.springs.data), in.rest.data, order_.number(), order_.order(),
+                in.x.data, in.inv_mass.data, now);
     const float dt = in.dt;
     const float alpha = in.compliance / (dt * dt);
     const int iterations = in.iters;
     for (int k = 0; k < iterations; ++k) {
       springs::project<Policy::lanes, Policy::unroll><<<blocks_for(n_ * Policy::lanes), Policy::threads>>>(
-          now, next, rows_.begin(), rows_.half(), multiplier_.get(), n_, alpha, k == 0);
+          now, next, rows_.begin(), rows_.half(), multiplier_.get(), n_, alpha, k == 0, k == iterations - 1,
+          k % 2 == 1);
       std::swap(now, next);
     }
-    springs::write_positions<<<blocks_for(n_), Policy::threads>>>(now, order_.order(), n_, out.x_new.data);
+    springs::write_positions<<<blocks_for(n_), Policy::threads>>>(now, order_.number(), n_, out.x_new.data);
   }
 
  private:

@@ -15,11 +15,13 @@
 namespace gpuphys::spatial {
 
 constexpr int kKeyBits = 24;
-constexpr int kBoundBlocks = 1056;  // eight a multiprocessor of an H200
+constexpr int kBoundBlocks = 264;  // two a multiprocessor of an H200
+constexpr int kBoundThreads = 1024;
 
-/// Lowest and highest corner, in an encoding whose order as unsigned integers is that of the floats.
+/// Corners in an encoding whose order as unsigned integers is that of the floats; of the lowest one the
+/// complement, so that both grow from zero.
 struct Bounds {
-  std::uint32_t low[3], high[3];
+  std::uint32_t low_complement[3], high[3];
 };
 
 __device__ __forceinline__ std::uint32_t encode(float f) {
@@ -31,29 +33,32 @@ __device__ __forceinline__ float decode(std::uint32_t code) {
   return __uint_as_float(code & 0x80000000u ? code & 0x7fffffffu : ~code);
 }
 
-/// Widens `bounds` (low all ones, high zero before) to hold all particles.
-__global__ void find_bounds(const float* __restrict__ x, int n, Bounds* bounds) {
-  std::uint32_t low[3] = {~0u, ~0u, ~0u}, high[3] = {0u, 0u, 0u};
+/// Widens `bounds` (zero before) to hold all particles.
+__global__ void __launch_bounds__(kBoundThreads)
+    find_bounds(const float* __restrict__ x, int n, Bounds* __restrict__ bounds) {
+  __shared__ std::uint32_t block_bounds[6];
+  if (threadIdx.x < 6) block_bounds[threadIdx.x] = 0;
+  __syncthreads();
+  std::uint32_t most[6] = {0, 0, 0, 0, 0, 0};
   const int stride = static_cast<int>(gridDim.x * blockDim.x);
+#pragma unroll 4
   for (int i = static_cast<int>(blockIdx.x * blockDim.x + threadIdx.x); i < n; i += stride) {
 #pragma unroll
     for (int d = 0; d < 3; ++d) {
       const std::uint32_t code = encode(x[3 * i + d]);
-      low[d] = min(low[d], code);
-      high[d] = max(high[d], code);
+      most[d] = max(most[d], ~code);
+      most[3 + d] = max(most[3 + d], code);
     }
   }
 #pragma unroll
-  for (int d = 0; d < 3; ++d) {
-    low[d] = __reduce_min_sync(0xffffffffu, low[d]);
-    high[d] = __reduce_max_sync(0xffffffffu, high[d]);
+  for (int k = 0; k < 6; ++k) {
+    most[k] = __reduce_max_sync(0xffffffffu, most[k]);
+    if (threadIdx.x % 32 == 0) atomicMax(block_bounds + k, most[k]);
   }
-  if (threadIdx.x % 32 != 0) return;
-#pragma unroll
-  for (int d = 0; d < 3; ++d) {
-    atomicMin(&bounds->low[d], low[d]);
-    atomicMax(&bounds->high[d], high[d]);
-  }
+  __syncthreads();
+  if (threadIdx.x < 3) atomicMax(bounds->low_complement + threadIdx.x, block_bounds[threadIdx.x]);
+  if (threadIdx.x >= 3 && threadIdx.x < 6)
+    atomicMax(bounds->high + threadIdx.x - 3, block_bounds[threadIdx.x]);
 }
 
 /// Morton code of every particle's cell, and the numbers 0..n-1.
@@ -65,7 +70,7 @@ __global__ void make_keys(const float* __restrict__ x, int n, const Bounds* __re
     float extent[3];
 #pragma unroll
     for (int d = 0; d < 3; ++d) {
-      low[d] = decode(bounds->low[d]);
+      low[d] = decode(~bounds->low_complement[d]);
       extent[d] = decode(bounds->high[d]) - low[d];
       scale[d] = extent[d] > 0.0f ? (1 << kKeyBits) / extent[d] : 0.0f;
     }
@@ -118,11 +123,11 @@ class Order {
         scratch_(scratch_bytes_) {}
 
   void build(const float* x, int n, int threads) const {
-    GPUPHYS_CUDA(cudaMemsetAsync(bounds_.get()->low, 0xff, sizeof bounds_.get()->low));
-    GPUPHYS_CUDA(cudaMemsetAsync(bounds_.get()->high, 0, sizeof bounds_.get()->high));
+    GPUPHYS_CUDA(cudaMemsetAsync(bounds_.get(), 0, sizeof(Bounds)));
     const int blocks = (n + threads - 1) / threads;
-    find_bounds<<<static_cast<unsigned>(blocks < kBoundBlocks ? blocks : kBoundBlocks), threads>>>(
-        x, n, bounds_.get());
+    const int bound_blocks = (n + kBoundThreads - 1) / kBoundThreads;
+    find_bounds<<<static_cast<unsigned>(bound_blocks < kBoundBlocks ? bound_blocks : kBoundBlocks),
+                  kBoundThreads>>>(x, n, bounds_.get());
     make_keys<<<static_cast<unsigned>(blocks), threads>>>(x, n, bounds_.get(), key_.get(), index_.get());
     primitives::sort_pairs(scratch_.get(), scratch_bytes_, key_.get(), sorted_key_.get(), index_.get(),
                            order_.get(), n, 0, kKeyBits);

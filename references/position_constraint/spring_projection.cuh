@@ -12,12 +12,6 @@
 
 namespace gpuphys::springs {
 
-/// One particle: 32 bytes, one sector, so that a random gather moves nothing else.
-struct __align__(16) Particle {
-  float4 base;  ///< position before the solve, m, and inverse mass, 1/kg
-  float4 step;  ///< displacement so far, m, and number of half-springs
-};
-
 /// Change of a spring's multiplier in one iteration, before averaging (XPBD equation 18).
 __device__ __forceinline__ float multiplier_step(float violation, float multiplier, float alpha,
                                                  float inv_mass_sum, float valence) {
@@ -31,44 +25,36 @@ __device__ __forceinline__ void length_of(float square, float& length, float& in
   length += 0.5f * inverse * (square - length * length);  // one Newton step
 }
 
-/// Place i takes particle order[i], at rest at its input position.
-__global__ void place_particles(const float* __restrict__ x, const float* __restrict__ inv_mass,
-                                const std::uint32_t* __restrict__ order, const int* __restrict__ begin, int n,
-                                Particle* __restrict__ particles) {
-  const int i = static_cast<int>(blockIdx.x * blockDim.x + threadIdx.x);
-  if (i >= n) return;
-  const std::uint32_t q = order[i];
-  Particle p;
-  p.base = make_float4(x[3 * q], x[3 * q + 1], x[3 * q + 2], inv_mass[q]);
-  p.step = make_float4(0.0f, 0.0f, 0.0f, static_cast<float>(begin[i + 1] - begin[i]));
-  particles[i] = p;
-}
-
-/// x + displacement, rounded once, back in input order.
+/// x + displacement, rounded once, back in input order. Random reads of whole sectors cost less than random
+/// writes of three floats.
 __global__ void write_positions(const Particle* __restrict__ particles,
-                                const std::uint32_t* __restrict__ order, int n, float* __restrict__ x) {
-  const int i = static_cast<int>(blockIdx.x * blockDim.x + threadIdx.x);
-  if (i >= n) return;
-  const std::uint32_t q = order[i];
-  const Particle p = particles[i];
+                                const std::int32_t* __restrict__ number, int n, float* __restrict__ x) {
+  const int q = static_cast<int>(blockIdx.x * blockDim.x + threadIdx.x);
+  if (q >= n) return;
+  const Particle p = particles[number[q]];
   x[3 * q] = p.base.x + p.step.x;
   x[3 * q + 1] = p.base.y + p.step.y;
   x[3 * q + 2] = p.base.z + p.step.z;
 }
 
 /// One Jacobi iteration: `Lanes` threads a particle share its row, `Unroll` half-springs each at a time.
-/// Reads the particles of `now`, writes those of `next`. The first iteration takes all multipliers as zero,
-/// the others read them.
+/// Reads the particles of `now`, writes those of `next`. The first iteration takes all multipliers as zero
+/// instead of reading them, the last does not write them.
+///
+/// `backward`: the blocks go through the particles from the end. Iterations take turns, so that each begins
+/// with what the L2 still holds of the one before.
 ///
 /// Even lanes work on `base` and odd ones on `step`: a pair of lanes fetches both half-springs' other ends
 /// one after the other, each a whole sector in one access, subtracts, and exchanges what the partner needs.
 template <int Lanes, int Unroll>
 __global__ void project(const Particle* __restrict__ now, Particle* __restrict__ next,
                         const int* __restrict__ begin, const HalfSpring* __restrict__ half,
-                        float* __restrict__ multiplier, int n, float alpha, bool first) {
+                        float* __restrict__ multiplier, int n, float alpha, bool first, bool last,
+                        bool backward) {
   static_assert(Lanes >= 2 && Lanes <= 32 && (Lanes & (Lanes - 1)) == 0, "pairs of lanes within a warp");
   constexpr unsigned all = 0xffffffffu;
-  const int i = static_cast<int>((blockIdx.x * static_cast<unsigned>(blockDim.x) + threadIdx.x) / Lanes);
+  const unsigned block = backward ? gridDim.x - 1 - blockIdx.x : blockIdx.x;
+  const int i = static_cast<int>((block * static_cast<unsigned>(blockDim.x) + threadIdx.x) / Lanes);
   const int lane = static_cast<int>(threadIdx.x) % Lanes;
   const int odd = lane & 1;
   const bool live = i < n;
@@ -89,9 +75,8 @@ __global__ void project(const Particle* __restrict__ now, Particle* __restrict__
       spring[u] = {me, 0.0f};  // past the end of the row: a particle's spring to itself, which does nothing
       old[u] = 0.0f;
       if (at < row_end) {
-        const int2 loaded = __ldcs(reinterpret_cast<const int2*>(half) + at);
-        spring[u] = {loaded.x, __int_as_float(loaded.y)};
-        if (!first) old[u] = __ldcs(multiplier + at);
+        spring[u] = half[at];
+        if (!first) old[u] = multiplier[at];
       }
     }
     float4 even_part[Unroll], odd_part[Unroll];
@@ -123,7 +108,7 @@ __global__ void project(const Particle* __restrict__ now, Particle* __restrict__
       sum.x += per_metre * dx;
       sum.y += per_metre * dy;
       sum.z += per_metre * dz;
-      if (at < row_end) __stcs(multiplier + at, old[u] + change);
+      if (!last && at < row_end) multiplier[at] = old[u] + change;
     }
   }
 #pragma unroll

@@ -20,6 +20,12 @@
 
 namespace gpuphys::springs {
 
+/// One particle: 32 bytes, one sector, so that a random gather moves nothing else.
+struct __align__(16) Particle {
+  float4 base;  ///< position before the solve, m, and inverse mass, 1/kg
+  float4 step;  ///< displacement so far, m, and number of half-springs
+};
+
 /// A spring as one of its ends sees it.
 struct __align__(8) HalfSpring {
   std::int32_t other;  ///< the particle at the other end
@@ -182,12 +188,14 @@ constexpr std::size_t sort_bytes(int capacity, int shift) {
 }
 
 /// Pass 3: block b sorts bin b by particle; row i begins at `begin[i]`. A bin of up to `Capacity`
-/// half-springs is sorted in shared memory.
+/// half-springs is sorted in shared memory. Then lays down the particles, at rest at their input positions:
+/// place i takes particle order[i].
 template <int Threads, int Capacity>
 __global__ void __launch_bounds__(Threads)
     sort_bin(const HalfSpring* __restrict__ split, const std::uint16_t* __restrict__ own,
-             const int* __restrict__ start, int blocks, int n, int shift, int* __restrict__ begin,
-             HalfSpring* __restrict__ half) {
+             const int* __restrict__ start, int blocks, int n, int shift, const float* __restrict__ x,
+             const float* __restrict__ inv_mass, const std::uint32_t* __restrict__ order,
+             int* __restrict__ begin, HalfSpring* __restrict__ half, Particle* __restrict__ placed) {
   constexpr int unroll = 4;
   extern __shared__ int2 room[];
   __shared__ int warp_sum[32];
@@ -245,10 +253,19 @@ __global__ void __launch_bounds__(Threads)
       }
     }
   }
-  if (!fits) return;
-  __syncthreads();
-  for (int k = tid; k < last - first; k += Threads) {
-    __stcs(reinterpret_cast<int2*>(half) + first + k, sorted[k]);
+  __syncthreads();  // the counters now hold where each row ends
+  if (fits) {
+    for (int k = tid; k < last - first; k += Threads) {
+      __stcs(reinterpret_cast<int2*>(half) + first + k, sorted[k]);
+    }
+  }
+  for (int i = tid; i < particles; i += Threads) {
+    const std::uint32_t q = order[low + i];
+    const int valence = count[i] - (i > 0 ? count[i - 1] : 0);
+    Particle p;
+    p.base = make_float4(x[3 * q], x[3 * q + 1], x[3 * q + 2], inv_mass[q]);
+    p.step = make_float4(0.0f, 0.0f, 0.0f, static_cast<float>(valence));
+    placed[low + i] = p;
   }
 }
 
@@ -277,8 +294,10 @@ class HalfSprings {
                                       static_cast<int>(bytes_to_sort())));
   }
 
-  /// Sorts the springs into rows, of particles renumbered by `number`.
-  void build(const int2* ends, const float* rest, const std::int32_t* number) const {
+  /// Sorts the springs into rows of particles renumbered by `number`, of which `order` is the inverse, and
+  /// writes the particles at rest to `placed`.
+  void build(const int2* ends, const float* rest, const std::int32_t* number, const std::uint32_t* order,
+             const float* x, const float* inv_mass, Particle* placed) const {
     const int share = (m_ + Shape::blocks - 1) / Shape::blocks;
     const auto blocks = static_cast<unsigned>(Shape::blocks);
     count_bins<Shape::count_threads><<<blocks, Shape::count_threads>>>(
@@ -288,7 +307,8 @@ class HalfSprings {
     split<<<blocks, Shape::split_threads, bytes_to_split()>>>(
         renumbered_.get(), rest, m_, share, shift_, bins(), matrix_.get(), split_.get(), own_.get());
     sort<<<static_cast<unsigned>(bins()), Shape::sort_threads, bytes_to_sort()>>>(
-        split_.get(), own_.get(), matrix_.get(), Shape::blocks, n_, shift_, begin_.get(), half_.get());
+        split_.get(), own_.get(), matrix_.get(), Shape::blocks, n_, shift_, x, inv_mass, order, begin_.get(),
+        half_.get(), placed);
   }
 
   const int* begin() const { return begin_.get(); }       ///< (n+1): where each row begins
