@@ -32,7 +32,7 @@ namespace {
 
 struct Policy {
 #ifdef GPUPHYS_OTHER_BLOCKS
-  static constexpr int threads = 128;
+  static constexpr int threads = 256;
   static constexpr int lanes = 8;
   static constexpr int unroll = 2;
   static constexpr int blocks = 100;
@@ -43,7 +43,7 @@ struct Policy {
   static constexpr int sort_threads = 512;
   static constexpr int sort_capacity = 6000;
 #else
-  static constexpr int threads = 256;
+  static constexpr int threads = 128;
   static constexpr int lanes = 4;     // a row of 12 half-springs is three full turns
   static constexpr int unroll = 3;    // and all of them are in flight at once
   static constexpr int blocks = 264;  // that sort a share of the springs: two a multiprocessor

@@ -15,8 +15,8 @@
 namespace gpuphys::spatial {
 
 constexpr int kKeyBits = 24;
-constexpr int kBoundBlocks = 264;  // two a multiprocessor of an H200
-constexpr int kBoundThreads = 1024;
+constexpr int kGridBlocks = 264;  // two a multiprocessor of an H200
+constexpr int kGridThreads = 1024;
 
 /// Corners in an encoding whose order as unsigned integers is that of the floats; of the lowest one the
 /// complement, so that both grow from zero.
@@ -34,7 +34,7 @@ __device__ __forceinline__ float decode(std::uint32_t code) {
 }
 
 /// Widens `bounds` (zero before) to hold all particles.
-__global__ void __launch_bounds__(kBoundThreads)
+__global__ void __launch_bounds__(kGridThreads)
     find_bounds(const float* __restrict__ x, int n, Bounds* __restrict__ bounds) {
   __shared__ std::uint32_t block_bounds[6];
   if (threadIdx.x < 6) block_bounds[threadIdx.x] = 0;
@@ -62,8 +62,9 @@ __global__ void __launch_bounds__(kBoundThreads)
 }
 
 /// Morton code of every particle's cell, and the numbers 0..n-1.
-__global__ void make_keys(const float* __restrict__ x, int n, const Bounds* __restrict__ bounds,
-                          std::uint32_t* __restrict__ key, std::uint32_t* __restrict__ index) {
+__global__ void __launch_bounds__(kGridThreads)
+    make_keys(const float* __restrict__ x, int n, const Bounds* __restrict__ bounds,
+              std::uint32_t* __restrict__ key, std::uint32_t* __restrict__ index) {
   __shared__ float low[3], scale[3];
   __shared__ int axis[kKeyBits];  // which side is halved
   if (threadIdx.x == 0) {
@@ -82,24 +83,25 @@ __global__ void make_keys(const float* __restrict__ x, int n, const Bounds* __re
     }
   }
   __syncthreads();
-  const int i = static_cast<int>(blockIdx.x * blockDim.x + threadIdx.x);
-  if (i >= n) return;
-  std::uint32_t place[3];  // in units of 2^-24 of the side
+  const int stride = static_cast<int>(gridDim.x * blockDim.x);
+  for (int i = static_cast<int>(blockIdx.x * blockDim.x + threadIdx.x); i < n; i += stride) {
+    std::uint32_t place[3];  // in units of 2^-24 of the side
 #pragma unroll
-  for (int d = 0; d < 3; ++d) {
-    const float f = fminf((x[3 * i + d] - low[d]) * scale[d], static_cast<float>((1 << kKeyBits) - 1));
-    place[d] = static_cast<std::uint32_t>(f);
+    for (int d = 0; d < 3; ++d) {
+      const float f = fminf((x[3 * i + d] - low[d]) * scale[d], static_cast<float>((1 << kKeyBits) - 1));
+      place[d] = static_cast<std::uint32_t>(f);
+    }
+    std::uint32_t code = 0;
+#pragma unroll
+    for (int s = 0; s < kKeyBits; ++s) {
+      const int d = axis[s];
+      code = code << 1 | ((d == 0 ? place[0] : d == 1 ? place[1] : place[2]) >> (kKeyBits - 1) & 1u);
+#pragma unroll
+      for (int a = 0; a < 3; ++a) place[a] <<= a == d ? 1 : 0;
+    }
+    key[i] = code;
+    index[i] = static_cast<std::uint32_t>(i);
   }
-  std::uint32_t code = 0;
-#pragma unroll
-  for (int s = 0; s < kKeyBits; ++s) {
-    const int d = axis[s];
-    code = code << 1 | ((d == 0 ? place[0] : d == 1 ? place[1] : place[2]) >> (kKeyBits - 1) & 1u);
-#pragma unroll
-    for (int a = 0; a < 3; ++a) place[a] <<= a == d ? 1 : 0;
-  }
-  key[i] = code;
-  index[i] = static_cast<std::uint32_t>(i);
 }
 
 /// number[order[k]] = k.
@@ -125,10 +127,11 @@ class Order {
   void build(const float* x, int n, int threads) const {
     GPUPHYS_CUDA(cudaMemsetAsync(bounds_.get(), 0, sizeof(Bounds)));
     const int blocks = (n + threads - 1) / threads;
-    const int bound_blocks = (n + kBoundThreads - 1) / kBoundThreads;
-    find_bounds<<<static_cast<unsigned>(bound_blocks < kBoundBlocks ? bound_blocks : kBoundBlocks),
-                  kBoundThreads>>>(x, n, bounds_.get());
-    make_keys<<<static_cast<unsigned>(blocks), threads>>>(x, n, bounds_.get(), key_.get(), index_.get());
+    const int grid = (n + kGridThreads - 1) / kGridThreads;
+    find_bounds<<<static_cast<unsigned>(grid < kGridBlocks ? grid : kGridBlocks), kGridThreads>>>(
+        x, n, bounds_.get());
+    make_keys<<<static_cast<unsigned>(grid < kGridBlocks ? grid : kGridBlocks), kGridThreads>>>(
+        x, n, bounds_.get(), key_.get(), index_.get());
     primitives::sort_pairs(scratch_.get(), scratch_bytes_, key_.get(), sorted_key_.get(), index_.get(),
                            order_.get(), n, 0, kKeyBits);
     invert<<<static_cast<unsigned>(blocks), threads>>>(order_.get(), n, number_.get());
