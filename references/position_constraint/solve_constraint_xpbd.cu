@@ -1,22 +1,21 @@
 // solve_constraint_xpbd: 8 Jacobi iterations of compliant distance constraints, averaged by valence, FP32.
 //
-// Particles and springs come in random order. The springs are first sorted into rows, one a particle, each
-// spring in the rows of both ends (count with atomics, scan, fill); an iteration then gathers: `lanes`
-// threads a particle read its row, fetch the other ends, and add up the particle's displacement. Multipliers
-// live beside the row entries and are advanced identically at both ends, so there are no atomics and no
-// second pass.
+// Particles and springs come in random order. Particles are renumbered along a Morton curve; springs are
+// sorted into rows, one a particle, each spring in the rows of both ends, by bins of 1024 particles in shared
+// memory (spring_rows.cuh). An iteration then gathers: `lanes` threads a particle read its row, fetch the
+// other ends, and add up the particle's displacement. Multipliers live beside the row entries and are
+// advanced identically at both ends, so there are no atomics and no second pass.
 //
 // Positions are held as input plus displacement: differences of inputs are exact or nearly so, displacements
 // of a centimetre keep their digits, and one addition at the end rounds.
 //
-// What bounds it (predictions, n = 1.05 million, m = 6.28 million, 12.56 million half-springs): per iteration
-// 8 + 4 + 4 bytes a half-spring stream from device memory (201 MB, 0.047 ms) and one 32-byte sector of a
-// random particle comes from the L2 (12.56 million, 402 MB, about 0.075 ms at 5.5 TB/s); both buffers of
-// particles are 67 MB, of which an iteration reads one whole and writes half the other. Sorting into rows
-// costs 12.56 million atomics (0.1 ms) and as many 8-byte stores to random places of 100 MB (0.15 ms). What
-// pays is the sector-sized particle: position, inverse mass, displacement and valence of a neighbour in one
-// L2 access; and evict-first loads and stores of the streams, so that they do not push the particles out of
-// the L2.
+// What bounds it (predictions, n = 1.05 million, m = 6.28 million, 12.56 million half-springs): an iteration
+// streams 8 + 4 + 4 bytes a half-spring and 32 + 32 bytes a particle, 268 MB, 0.063 ms; and the L1 looks up a
+// line for each random particle, about 0.06 ms. Sorting moves 525 MB and gathers 12.56 million numbers, 0.25
+// ms. What pays: the sector-sized particle (position, inverse mass, displacement and valence of a neighbour
+// in one access), fetched by two lanes together, which halves the look-ups; whole sectors stored; the Morton
+// curve, so that most neighbours are in the L1 or the L2; and multisplits in shared memory in place of random
+// stores.
 #include "cases/position_constraint/solve_constraint_xpbd.hpp"
 
 #include <climits>

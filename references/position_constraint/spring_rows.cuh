@@ -8,8 +8,8 @@
 // a bin counts, scans and sorts by particle in shared memory, and writes its rows whole. A bin that shared
 // memory does not hold (a particle with very many springs) is written in place, which is slower.
 //
-// What bounds it, a spring: 4 L2 sectors of random numbers are wanted once (pass 1 reads a 4-byte number for
-// each end); the rest streams: 8 + 8 bytes in pass 1, 12 + 20 in pass 2, 24 + 16 in pass 3.
+// What bounds it, bytes a spring of device memory: 8 in and 8 out in pass 1, 12 and 20 in pass 2, 20 and 16
+// in pass 3, and in pass 1 two random 4-byte numbers out of the L2.
 #pragma once
 
 #include <cstdint>
