@@ -1,22 +1,21 @@
 // solve_constraint_xpbd: 8 Jacobi iterations of compliant distance constraints, averaged by valence, FP32.
 //
-// Particles and springs come in random order. The springs are first sorted into rows, one a particle, each
-// spring in the rows of both ends (count with atomics, scan, fill); an iteration then gathers: `lanes`
-// threads a particle read its row, fetch the other ends, and add up the particle's displacement. Multipliers
-// live beside the row entries and are advanced identically at both ends, so there are no atomics and no
-// second pass.
+// Particles and springs come in random order. Particles are renumbered along a Morton curve; springs are
+// sorted into rows, one a particle, each spring in the rows of both ends, by bins of 1024 particles in shared
+// memory (spring_rows.cuh). An iteration then gathers: `lanes` threads a particle read its row, fetch the
+// other ends, and add up the particle's displacement. Multipliers live beside the row entries and are
+// advanced identically at both ends, so there are no atomics and no second pass.
 //
 // Positions are held as input plus displacement: differences of inputs are exact or nearly so, displacements
 // of a centimetre keep their digits, and one addition at the end rounds.
 //
-// What bounds it (predictions, n = 1.05 million, m = 6.28 million, 12.56 million half-springs): per iteration
-// 8 + 4 + 4 bytes a half-spring stream from device memory (201 MB, 0.047 ms) and one 32-byte sector of a
-// random particle comes from the L2 (12.56 million, 402 MB, about 0.075 ms at 5.5 TB/s); both buffers of
-// particles are 67 MB, of which an iteration reads one whole and writes half the other. Sorting into rows
-// costs 12.56 million atomics (0.1 ms) and as many 8-byte stores to random places of 100 MB (0.15 ms). What
-// pays is the sector-sized particle: position, inverse mass, displacement and valence of a neighbour in one
-// L2 access; and evict-first loads and stores of the streams, so that they do not push the particles out of
-// the L2.
+// What bounds it (predictions, n = 1.05 million, m = 6.28 million, 12.56 million half-springs): an iteration
+// streams 8 + 4 + 4 bytes a half-spring and 32 + 32 bytes a particle, 268 MB, 0.063 ms; and the L1 looks up a
+// line for each random particle, about 0.06 ms. Sorting moves 525 MB and gathers 12.56 million numbers, 0.25
+// ms. What pays: the sector-sized particle (position, inverse mass, displacement and valence of a neighbour
+// in one access), fetched by two lanes together, which halves the look-ups; whole sectors stored; the Morton
+// curve, so that most neighbours are in the L1 or the L2; and multisplits in shared memory in place of random
+// stores.
 #include "cases/position_constraint/solve_constraint_xpbd.hpp"
 
 #include <climits>
@@ -32,15 +31,27 @@ namespace {
 
 struct Policy {
 #ifdef GPUPHYS_OTHER_BLOCKS
-  static constexpr int threads = 128;
+  static constexpr int threads = 256;
   static constexpr int lanes = 8;
   static constexpr int unroll = 2;
-  static constexpr bool renumber = true;
+  static constexpr int blocks = 100;
+  static constexpr int count_threads = 256;
+  static constexpr int split_threads = 256;
+  static constexpr int split_items = 4;
+  static constexpr int bin_shift = 9;
+  static constexpr int sort_threads = 512;
+  static constexpr int sort_capacity = 6000;
 #else
-  static constexpr int threads = 256;
-  static constexpr int lanes = 4;          // a row of 12 half-springs is three full turns
-  static constexpr int unroll = 3;         // and all of them are in flight at once
-  static constexpr bool renumber = false;  // particles by the Morton code of their cell
+  static constexpr int threads = 128;
+  static constexpr int lanes = 4;     // a row of 12 half-springs is three full turns
+  static constexpr int unroll = 3;    // and all of them are in flight at once
+  static constexpr int blocks = 264;  // that sort a share of the springs: two a multiprocessor
+  static constexpr int count_threads = 1024;
+  static constexpr int split_threads = 512;
+  static constexpr int split_items = 8;  // 8192 half-springs sorted in 96 KB of shared memory
+  static constexpr int bin_shift = 10;   // 1024 particles a bin, about 12 thousand half-springs
+  static constexpr int sort_threads = 1024;
+  static constexpr int sort_capacity = 13312;  // half-springs, 104 KB: two blocks a multiprocessor
 #endif
 };
 
@@ -57,8 +68,8 @@ class Reference {
       throw std::runtime_error("more particles or springs than 32 bits count");
     n_ = static_cast<int>(n);
     m_ = static_cast<int>(m);
-    rows_ = springs::HalfSprings(n_, m_, Policy::renumber);
-    if (Policy::renumber) order_ = spatial::Order(n_);
+    rows_ = springs::HalfSprings<Policy>(n_, m_);
+    order_ = spatial::Order(n_);
     multiplier_ = DeviceBuffer<float>(2 * static_cast<std::size_t>(m));
     for (DeviceBuffer<springs::Particle>& p : particles_) {
       p = DeviceBuffer<springs::Particle>(static_cast<std::size_t>(n));
@@ -67,28 +78,27 @@ class Reference {
 
   void compute(const Inputs& in, const Outputs<float>& out) {
     if (n_ == 0) return;
-    if (Policy::renumber) order_.build(in.x.data, n_, Policy::threads);
-    rows_.build(reinterpret_cast<const int2*>(in.springs.data), in.rest.data, order_.number(), n_, m_,
-                Policy::threads);
+    order_.build(in.x.data, n_, Policy::threads);
     springs::Particle* now = particles_[0].get();
     springs::Particle* next = particles_[1].get();
-    springs::place_particles<<<blocks_for(n_), Policy::threads>>>(in.x.data, in.inv_mass.data, order_.order(),
-                                                                  rows_.begin(), n_, now, next);
+    rows_.build(reinterpret_cast<const int2*>(in.springs.data), in.rest.data, order_.number(), order_.order(),
+                in.x.data, in.inv_mass.data, now);
     const float dt = in.dt;
     const float alpha = in.compliance / (dt * dt);
     const int iterations = in.iters;
     for (int k = 0; k < iterations; ++k) {
       springs::project<Policy::lanes, Policy::unroll><<<blocks_for(n_ * Policy::lanes), Policy::threads>>>(
-          now, next, rows_.begin(), rows_.half(), multiplier_.get(), n_, alpha, k == 0);
+          now, next, rows_.begin(), rows_.half(), multiplier_.get(), n_, alpha, k == 0, k == iterations - 1,
+          k % 2 == 1);
       std::swap(now, next);
     }
-    springs::write_positions<<<blocks_for(n_), Policy::threads>>>(now, order_.order(), n_, out.x_new.data);
+    springs::write_positions<<<blocks_for(n_), Policy::threads>>>(now, order_.number(), n_, out.x_new.data);
   }
 
  private:
   int n_ = 0, m_ = 0;
-  springs::HalfSprings rows_;
-  spatial::Order order_;  // without memory, and its pointers null, unless particles are renumbered
+  springs::HalfSprings<Policy> rows_;
+  spatial::Order order_;
   DeviceBuffer<float> multiplier_;
   DeviceBuffer<springs::Particle> particles_[2];
 };

@@ -1,8 +1,10 @@
-// A spatial numbering of particles that come in arbitrary order: by the Morton code of their cell, so that
-// particles close in space are close in memory and their neighbours are found in the caches.
+// A spatial numbering of particles that come in arbitrary order: by a Morton code, so that particles close in
+// space are close in memory and their neighbours are found in the caches.
 //
-// Cells are 1/256 of the largest extent of the particles: three radix passes of eight bits. Nothing depends
-// on the number of particles in a cell. What bounds it: the sort, 3 passes over 8 bytes a particle.
+// The bounding box is halved 24 times, each time across its longest side; a bit of the code says in which
+// half the particle lies. So cells are nearly cubes whatever the shape of the box (a long roll of cloth), and
+// three radix passes of eight bits sort them. Nothing depends on the number of particles in a cell. What
+// bounds it: the sort, 3 passes over 8 bytes a particle.
 #pragma once
 
 #include <cstdint>
@@ -12,12 +14,14 @@
 
 namespace gpuphys::spatial {
 
-constexpr int kBitsPerAxis = 8;
-constexpr int kBoundBlocks = 1056;  // eight a multiprocessor of an H200
+constexpr int kKeyBits = 24;
+constexpr int kGridBlocks = 264;  // two a multiprocessor of an H200
+constexpr int kGridThreads = 1024;
 
-/// Lowest and highest corner, in an encoding whose order as unsigned integers is that of the floats.
+/// Corners in an encoding whose order as unsigned integers is that of the floats; of the lowest one the
+/// complement, so that both grow from zero.
 struct Bounds {
-  std::uint32_t low[3], high[3];
+  std::uint32_t low_complement[3], high[3];
 };
 
 __device__ __forceinline__ std::uint32_t encode(float f) {
@@ -29,59 +33,75 @@ __device__ __forceinline__ float decode(std::uint32_t code) {
   return __uint_as_float(code & 0x80000000u ? code & 0x7fffffffu : ~code);
 }
 
-/// Widens `bounds` (low all ones, high zero before) to hold all particles.
-__global__ void find_bounds(const float* __restrict__ x, int n, Bounds* bounds) {
-  std::uint32_t low[3] = {~0u, ~0u, ~0u}, high[3] = {0u, 0u, 0u};
+/// Widens `bounds` (zero before) to hold all particles.
+__global__ void __launch_bounds__(kGridThreads)
+    find_bounds(const float* __restrict__ x, int n, Bounds* __restrict__ bounds) {
+  __shared__ std::uint32_t block_bounds[6];
+  if (threadIdx.x < 6) block_bounds[threadIdx.x] = 0;
+  __syncthreads();
+  std::uint32_t most[6] = {0, 0, 0, 0, 0, 0};
   const int stride = static_cast<int>(gridDim.x * blockDim.x);
+#pragma unroll 4
   for (int i = static_cast<int>(blockIdx.x * blockDim.x + threadIdx.x); i < n; i += stride) {
 #pragma unroll
     for (int d = 0; d < 3; ++d) {
       const std::uint32_t code = encode(x[3 * i + d]);
-      low[d] = min(low[d], code);
-      high[d] = max(high[d], code);
+      most[d] = max(most[d], ~code);
+      most[3 + d] = max(most[3 + d], code);
     }
   }
 #pragma unroll
-  for (int d = 0; d < 3; ++d) {
-    low[d] = __reduce_min_sync(0xffffffffu, low[d]);
-    high[d] = __reduce_max_sync(0xffffffffu, high[d]);
+  for (int k = 0; k < 6; ++k) {
+    most[k] = __reduce_max_sync(0xffffffffu, most[k]);
+    if (threadIdx.x % 32 == 0) atomicMax(block_bounds + k, most[k]);
   }
-  if (threadIdx.x % 32 != 0) return;
-#pragma unroll
-  for (int d = 0; d < 3; ++d) {
-    atomicMin(&bounds->low[d], low[d]);
-    atomicMax(&bounds->high[d], high[d]);
-  }
-}
-
-/// The bits of `v` (below 2^8) with two zeros between each and the next.
-__device__ __forceinline__ std::uint32_t spread_bits(std::uint32_t v) {
-  v = (v | v << 8) & 0x0000f00fu;
-  v = (v | v << 4) & 0x000c30c3u;
-  return (v | v << 2) & 0x00249249u;
+  __syncthreads();
+  if (threadIdx.x < 3) atomicMax(bounds->low_complement + threadIdx.x, block_bounds[threadIdx.x]);
+  if (threadIdx.x >= 3 && threadIdx.x < 6)
+    atomicMax(bounds->high + threadIdx.x - 3, block_bounds[threadIdx.x]);
 }
 
 /// Morton code of every particle's cell, and the numbers 0..n-1.
-__global__ void make_keys(const float* __restrict__ x, int n, const Bounds* __restrict__ bounds,
-                          std::uint32_t* __restrict__ key, std::uint32_t* __restrict__ index) {
-  const int i = static_cast<int>(blockIdx.x * blockDim.x + threadIdx.x);
-  if (i >= n) return;
-  float low[3], extent = 0.0f;
+__global__ void __launch_bounds__(kGridThreads)
+    make_keys(const float* __restrict__ x, int n, const Bounds* __restrict__ bounds,
+              std::uint32_t* __restrict__ key, std::uint32_t* __restrict__ index) {
+  __shared__ float low[3], scale[3];
+  __shared__ int axis[kKeyBits];  // which side is halved
+  if (threadIdx.x == 0) {
+    float extent[3];
 #pragma unroll
-  for (int d = 0; d < 3; ++d) {
-    low[d] = decode(bounds->low[d]);
-    extent = fmaxf(extent, decode(bounds->high[d]) - low[d]);
-  }
-  constexpr float cells = 1 << kBitsPerAxis;
-  const float per_metre = extent > 0.0f ? cells / extent : 0.0f;
-  std::uint32_t code = 0;
+    for (int d = 0; d < 3; ++d) {
+      low[d] = decode(~bounds->low_complement[d]);
+      extent[d] = decode(bounds->high[d]) - low[d];
+      scale[d] = extent[d] > 0.0f ? (1 << kKeyBits) / extent[d] : 0.0f;
+    }
+    for (int s = 0; s < kKeyBits; ++s) {
+      const int d = extent[0] >= extent[1] && extent[0] >= extent[2] ? 0 : extent[1] >= extent[2] ? 1 : 2;
+      axis[s] = d;
 #pragma unroll
-  for (int d = 0; d < 3; ++d) {
-    const float cell = fminf((x[3 * i + d] - low[d]) * per_metre, cells - 1.0f);
-    code |= spread_bits(static_cast<std::uint32_t>(cell)) << d;
+      for (int a = 0; a < 3; ++a) extent[a] *= a == d ? 0.5f : 1.0f;
+    }
   }
-  key[i] = code;
-  index[i] = static_cast<std::uint32_t>(i);
+  __syncthreads();
+  const int stride = static_cast<int>(gridDim.x * blockDim.x);
+  for (int i = static_cast<int>(blockIdx.x * blockDim.x + threadIdx.x); i < n; i += stride) {
+    std::uint32_t place[3];  // in units of 2^-24 of the side
+#pragma unroll
+    for (int d = 0; d < 3; ++d) {
+      const float f = fminf((x[3 * i + d] - low[d]) * scale[d], static_cast<float>((1 << kKeyBits) - 1));
+      place[d] = static_cast<std::uint32_t>(f);
+    }
+    std::uint32_t code = 0;
+#pragma unroll
+    for (int s = 0; s < kKeyBits; ++s) {
+      const int d = axis[s];
+      code = code << 1 | ((d == 0 ? place[0] : d == 1 ? place[1] : place[2]) >> (kKeyBits - 1) & 1u);
+#pragma unroll
+      for (int a = 0; a < 3; ++a) place[a] <<= a == d ? 1 : 0;
+    }
+    key[i] = code;
+    index[i] = static_cast<std::uint32_t>(i);
+  }
 }
 
 /// number[order[k]] = k.
@@ -105,14 +125,15 @@ class Order {
         scratch_(scratch_bytes_) {}
 
   void build(const float* x, int n, int threads) const {
-    GPUPHYS_CUDA(cudaMemsetAsync(bounds_.get()->low, 0xff, sizeof bounds_.get()->low));
-    GPUPHYS_CUDA(cudaMemsetAsync(bounds_.get()->high, 0, sizeof bounds_.get()->high));
+    GPUPHYS_CUDA(cudaMemsetAsync(bounds_.get(), 0, sizeof(Bounds)));
     const int blocks = (n + threads - 1) / threads;
-    find_bounds<<<static_cast<unsigned>(blocks < kBoundBlocks ? blocks : kBoundBlocks), threads>>>(
+    const int grid = (n + kGridThreads - 1) / kGridThreads;
+    find_bounds<<<static_cast<unsigned>(grid < kGridBlocks ? grid : kGridBlocks), kGridThreads>>>(
         x, n, bounds_.get());
-    make_keys<<<static_cast<unsigned>(blocks), threads>>>(x, n, bounds_.get(), key_.get(), index_.get());
+    make_keys<<<static_cast<unsigned>(grid < kGridBlocks ? grid : kGridBlocks), kGridThreads>>>(
+        x, n, bounds_.get(), key_.get(), index_.get());
     primitives::sort_pairs(scratch_.get(), scratch_bytes_, key_.get(), sorted_key_.get(), index_.get(),
-                           order_.get(), n, 0, 3 * kBitsPerAxis);
+                           order_.get(), n, 0, kKeyBits);
     invert<<<static_cast<unsigned>(blocks), threads>>>(order_.get(), n, number_.get());
   }
 

@@ -8,201 +8,137 @@
 
 #include <cstdint>
 
-#include "references/common/device_buffer.cuh"
-#include "references/common/primitives.hpp"
+#include "references/position_constraint/spring_rows.cuh"
 
 namespace gpuphys::springs {
 
-/// One particle: 32 bytes, one sector, so that a random gather moves nothing else.
-struct __align__(16) Particle {
-  float4 base;  ///< position before the solve, m, and inverse mass, 1/kg
-  float4 step;  ///< displacement so far, m, and number of half-springs
-};
+/// Squares of lengths below are taken as those of coincident ends: the hardware's reciprocals know no
+/// subnormal numbers.
+constexpr float kLeastSquare = 1.17549435e-38f;
 
-/// A spring as one of its ends sees it.
-struct __align__(8) HalfSpring {
-  std::int32_t other;  ///< the particle at the other end
-  float rest;          ///< m
-};
+/// 1/a and 1/sqrt(a) of normal numbers, each within about one unit in the last place; without the branches
+/// that the library spends on subnormal ones.
+__device__ __forceinline__ float reciprocal(float a) {
+  float result;
+  asm("rcp.approx.ftz.f32 %0, %1;" : "=f"(result) : "f"(a));
+  return result;
+}
+__device__ __forceinline__ float reciprocal_root(float a) {
+  float result;
+  asm("rsqrt.approx.ftz.f32 %0, %1;" : "=f"(result) : "f"(a));
+  return result;
+}
 
 /// Change of a spring's multiplier in one iteration, before averaging (XPBD equation 18).
 __device__ __forceinline__ float multiplier_step(float violation, float multiplier, float alpha,
                                                  float inv_mass_sum, float valence) {
-  return -(violation + alpha * multiplier) / ((inv_mass_sum + alpha) * valence);
+  return -(violation + alpha * multiplier) * reciprocal((inv_mass_sum + alpha) * valence);
 }
 
 /// Square root and its reciprocal of a positive normal number, each within about one unit in the last place.
 __device__ __forceinline__ void length_of(float square, float& length, float& inverse) {
-  inverse = rsqrtf(square);
+  inverse = reciprocal_root(square);
   length = square * inverse;
   length += 0.5f * inverse * (square - length * length);  // one Newton step
 }
 
-/// Numbers the half-springs at each particle: `rank[2 j + end]` is the place of spring j in the row of that
-/// end. `count` must be zero before. A spring from a particle to itself gets no place (rank -1). Where
-/// `number` is not null, it renumbers the particles, and `renumbered` receives the new ends.
-__global__ void count_half_springs(const int2* __restrict__ ends, int m,
-                                   const std::int32_t* __restrict__ number, int2* __restrict__ renumbered,
-                                   int* __restrict__ count, int2* __restrict__ rank) {
-  const int j = static_cast<int>(blockIdx.x * blockDim.x + threadIdx.x);
-  if (j >= m) return;
-  int2 e = __ldcs(ends + j);
-  if (number) {
-    e.x = number[e.x];
-    e.y = number[e.y];
-    __stcs(renumbered + j, e);
-  }
-  int2 r{-1, -1};
-  if (e.x != e.y) {
-    r.x = atomicAdd(count + e.x, 1);
-    r.y = atomicAdd(count + e.y, 1);
-  }
-  __stcs(rank + j, r);
-}
-
-/// Writes every spring into the rows of its two ends; row i begins at `begin[i]`.
-__global__ void fill_half_springs(const int2* __restrict__ ends, const float* __restrict__ rest,
-                                  const int2* __restrict__ rank, const int* __restrict__ begin, int m,
-                                  HalfSpring* __restrict__ half) {
-  const int j = static_cast<int>(blockIdx.x * blockDim.x + threadIdx.x);
-  if (j >= m) return;
-  const int2 r = __ldcs(rank + j);
-  if (r.x < 0) return;
-  const int2 e = __ldcs(ends + j);
-  const float length = __ldcs(rest + j);
-  half[begin[e.x] + r.x] = {e.y, length};
-  half[begin[e.y] + r.y] = {e.x, length};
-}
-
-/// Both buffers of the double-buffered iteration, at rest at the input positions. Where `order` is not null,
-/// place i takes particle order[i].
-__global__ void place_particles(const float* __restrict__ x, const float* __restrict__ inv_mass,
-                                const std::uint32_t* __restrict__ order, const int* __restrict__ begin, int n,
-                                Particle* __restrict__ a, Particle* __restrict__ b) {
-  const int i = static_cast<int>(blockIdx.x * blockDim.x + threadIdx.x);
-  if (i >= n) return;
-  const int q = order ? static_cast<int>(order[i]) : i;
-  Particle p;
-  p.base = make_float4(x[3 * q], x[3 * q + 1], x[3 * q + 2], inv_mass[q]);
-  p.step = make_float4(0.0f, 0.0f, 0.0f, static_cast<float>(begin[i + 1] - begin[i]));
-  a[i] = p;
-  b[i] = p;
-}
-
-/// x + displacement, rounded once, back in input order.
+/// x + displacement, rounded once, back in input order. Random reads of whole sectors cost less than random
+/// writes of three floats.
 __global__ void write_positions(const Particle* __restrict__ particles,
-                                const std::uint32_t* __restrict__ order, int n, float* __restrict__ x) {
-  const int i = static_cast<int>(blockIdx.x * blockDim.x + threadIdx.x);
-  if (i >= n) return;
-  const int q = order ? static_cast<int>(order[i]) : i;
-  const Particle p = particles[i];
+                                const std::int32_t* __restrict__ number, int n, float* __restrict__ x) {
+  const int q = static_cast<int>(blockIdx.x * blockDim.x + threadIdx.x);
+  if (q >= n) return;
+  const Particle p = particles[number[q]];
   x[3 * q] = p.base.x + p.step.x;
   x[3 * q + 1] = p.base.y + p.step.y;
   x[3 * q + 2] = p.base.z + p.step.z;
 }
 
 /// One Jacobi iteration: `Lanes` threads a particle share its row, `Unroll` half-springs each at a time.
-/// Reads the displacements of `now`, writes those of `next`. The first iteration takes all multipliers as
-/// zero, the others read them.
+/// Reads the particles of `now`, writes those of `next`. The first iteration takes all multipliers as zero
+/// instead of reading them, the last does not write them.
+///
+/// `backward`: the blocks go through the particles from the end. Iterations take turns, so that each begins
+/// with what the L2 still holds of the one before.
+///
+/// Even lanes work on `base` and odd ones on `step`: a pair of lanes fetches both half-springs' other ends
+/// one after the other, each a whole sector in one access, subtracts, and exchanges what the partner needs.
 template <int Lanes, int Unroll>
 __global__ void project(const Particle* __restrict__ now, Particle* __restrict__ next,
                         const int* __restrict__ begin, const HalfSpring* __restrict__ half,
-                        float* __restrict__ multiplier, int n, float alpha, bool first) {
-  const int i = static_cast<int>((blockIdx.x * static_cast<unsigned>(blockDim.x) + threadIdx.x) / Lanes);
+                        float* __restrict__ multiplier, int n, float alpha, bool first, bool last,
+                        bool backward) {
+  static_assert(Lanes >= 2 && Lanes <= 32 && (Lanes & (Lanes - 1)) == 0, "pairs of lanes within a warp");
+  constexpr unsigned all = 0xffffffffu;
+  const unsigned block = backward ? gridDim.x - 1 - blockIdx.x : blockIdx.x;
+  const int i = static_cast<int>((block * static_cast<unsigned>(blockDim.x) + threadIdx.x) / Lanes);
   const int lane = static_cast<int>(threadIdx.x) % Lanes;
+  const int odd = lane & 1;
   const bool live = i < n;
-  const Particle self = now[live ? i : 0];
-  const int row_end = live ? begin[i + 1] : 0;
+  const int me = live ? i : 0;
+  const float4* const part = reinterpret_cast<const float4*>(now) + odd;  // part[2 p]: of particle p
+  const float4 self = part[2 * me];
+  const float partner_w = __shfl_xor_sync(all, self.w, 1);
+  const float inv_mass = odd ? partner_w : self.w, own_valence = odd ? self.w : partner_w;
+  const int row_begin = live ? begin[me] : 0, row_end = live ? begin[me + 1] : 0;
   float3 sum = make_float3(0.0f, 0.0f, 0.0f);
-  for (int row = live ? begin[i] + lane : 0; row < row_end; row += Lanes * Unroll) {
+  // The lanes of a warp go round together, for the longest of its rows: they exchange.
+  for (int row = row_begin + lane; __any_sync(all, row - lane < row_end); row += Lanes * Unroll) {
     HalfSpring spring[Unroll];
     float old[Unroll];
 #pragma unroll
     for (int u = 0; u < Unroll; ++u) {
       const int at = row + u * Lanes;
-      spring[u] = {i, 0.0f};  // past the end of the row: a particle's spring to itself, which does nothing
+      spring[u] = {me, 0.0f};  // past the end of the row: a particle's spring to itself, which does nothing
       old[u] = 0.0f;
       if (at < row_end) {
-        const int2 loaded = __ldcs(reinterpret_cast<const int2*>(half) + at);
-        spring[u] = {loaded.x, __int_as_float(loaded.y)};
-        if (!first) old[u] = __ldcs(multiplier + at);
+        spring[u] = half[at];
+        if (!first) old[u] = multiplier[at];
       }
     }
-    Particle other[Unroll];
+    float4 even_part[Unroll], odd_part[Unroll];
 #pragma unroll
-    for (int u = 0; u < Unroll; ++u) other[u] = now[spring[u].other];
+    for (int u = 0; u < Unroll; ++u) {
+      const int partner_other = __shfl_xor_sync(all, spring[u].other, 1);
+      even_part[u] = part[2 * (odd ? partner_other : spring[u].other)];
+      odd_part[u] = part[2 * (odd ? spring[u].other : partner_other)];
+    }
 #pragma unroll
     for (int u = 0; u < Unroll; ++u) {
       const int at = row + u * Lanes;
-      const float dx = (self.base.x - other[u].base.x) + (self.step.x - other[u].step.x);
-      const float dy = (self.base.y - other[u].base.y) + (self.step.y - other[u].step.y);
-      const float dz = (self.base.z - other[u].base.z) + (self.step.z - other[u].step.z);
+      const float4 mine = odd ? odd_part[u] : even_part[u], yours = odd ? even_part[u] : odd_part[u];
+      const float dx = (self.x - mine.x) + __shfl_xor_sync(all, self.x - yours.x, 1);
+      const float dy = (self.y - mine.y) + __shfl_xor_sync(all, self.y - yours.y, 1);
+      const float dz = (self.z - mine.z) + __shfl_xor_sync(all, self.z - yours.z, 1);
+      const float received = __shfl_xor_sync(all, yours.w, 1);
+      const float other_inv_mass = odd ? received : mine.w, other_valence = odd ? mine.w : received;
       const float square = dx * dx + dy * dy + dz * dz;
-      const float inv_mass_sum = self.base.w + other[u].base.w;
+      const float inv_mass_sum = inv_mass + other_inv_mass;
       float change = 0.0f, per_metre = 0.0f;
-      if (square > 0.0f && inv_mass_sum > 0.0f) {
+      if (square >= kLeastSquare && inv_mass_sum > 0.0f) {
         float length, inverse;
         length_of(square, length, inverse);
-        const float valence = fmaxf(self.step.w, other[u].step.w);
+        const float valence = fmaxf(own_valence, other_valence);
         change = multiplier_step(length - spring[u].rest, old[u], alpha, inv_mass_sum, valence);
         per_metre = change * inverse;
       }
       sum.x += per_metre * dx;
       sum.y += per_metre * dy;
       sum.z += per_metre * dz;
-      if (at < row_end) __stcs(multiplier + at, old[u] + change);
+      if (!last && at < row_end) multiplier[at] = old[u] + change;
     }
   }
 #pragma unroll
   for (int step = Lanes / 2; step > 0; step /= 2) {
-    sum.x += __shfl_xor_sync(0xffffffffu, sum.x, step);
-    sum.y += __shfl_xor_sync(0xffffffffu, sum.y, step);
-    sum.z += __shfl_xor_sync(0xffffffffu, sum.z, step);
+    sum.x += __shfl_xor_sync(all, sum.x, step);
+    sum.y += __shfl_xor_sync(all, sum.y, step);
+    sum.z += __shfl_xor_sync(all, sum.z, step);
   }
-  if (!live || lane != 0) return;
-  const float w = self.base.w;
-  next[i].step =
-      make_float4(self.step.x + w * sum.x, self.step.y + w * sum.y, self.step.z + w * sum.z, self.step.w);
+  if (!live || lane > 1) return;
+  // Two lanes write the particle's whole sector: the base too, or the L2 would have to read it first.
+  const float w = odd ? inv_mass : 0.0f;
+  reinterpret_cast<float4*>(next)[2 * i + odd] =
+      make_float4(self.x + w * sum.x, self.y + w * sum.y, self.z + w * sum.z, self.w);
 }
-
-/// Rows of half-springs for up to `n` particles and `m` springs, in memory of its own.
-class HalfSprings {
- public:
-  HalfSprings() = default;
-  /// `renumber`: build() will be given a numbering.
-  HalfSprings(int n, int m, bool renumber)
-      : begin_(static_cast<std::size_t>(n) + 1),
-        rank_(static_cast<std::size_t>(m)),
-        renumbered_(renumber ? static_cast<std::size_t>(m) : 0),
-        half_(2 * static_cast<std::size_t>(m)),
-        scratch_bytes_(primitives::exclusive_sum_bytes(n + 1)),
-        scratch_(scratch_bytes_) {}
-
-  /// Sorts the springs into rows, of particles renumbered by `number` unless it is null. `threads` is the
-  /// block size.
-  void build(const int2* ends, const float* rest, const std::int32_t* number, int n, int m,
-             int threads) const {
-    GPUPHYS_CUDA(cudaMemsetAsync(begin_.get(), 0, sizeof(int) * (static_cast<std::size_t>(n) + 1)));
-    const auto blocks = static_cast<unsigned>((m + threads - 1) / threads);
-    if (m > 0) {
-      count_half_springs<<<blocks, threads>>>(ends, m, number, renumbered_.get(), begin_.get(), rank_.get());
-    }
-    primitives::exclusive_sum(scratch_.get(), scratch_bytes_, begin_.get(), begin_.get(), n + 1);
-    if (m > 0) {
-      fill_half_springs<<<blocks, threads>>>(number ? renumbered_.get() : ends, rest, rank_.get(),
-                                             begin_.get(), m, half_.get());
-    }
-  }
-
-  const int* begin() const { return begin_.get(); }       ///< (n+1): counts, then where each row begins
-  const HalfSpring* half() const { return half_.get(); }  ///< (2m)
-
- private:
-  DeviceBuffer<int> begin_;
-  DeviceBuffer<int2> rank_, renumbered_;
-  DeviceBuffer<HalfSpring> half_;
-  std::size_t scratch_bytes_ = 0;
-  DeviceBuffer<unsigned char> scratch_;
-};
 
 }  // namespace gpuphys::springs
