@@ -56,6 +56,9 @@ struct Policy {
   static constexpr int large_chunk = 1024;     // candidates of a large box that a warp takes at a time
   static constexpr int resident_warps = 24;    // of `impacts` on an SM: 80 registers a thread
   static constexpr int impact_threads = 32 * warps;
+  // Of 32 places, that a warp takes on average: more leave fewer partial batches, fewer fill the SMs evenly.
+  static constexpr int tiles_of_warp = 4;
+  static constexpr int resident_blocks = 132 * resident_warps / warps;
 };
 
 constexpr unsigned kAllLanes = 0xffffffffu;
@@ -437,15 +440,24 @@ __device__ __forceinline__ void visit_neighbours(const Grid& grid, const Scratch
     const int high_y = grid.coordinate(all.high.y + grid.reach[1], 1);
     const int high_z = grid.coordinate(all.high.z + grid.reach[2], 2);
     int waiting = 0;
-    for (int cz = first_z; cz <= high_z; ++cz) {
-      for (int cy = cz == first_z ? first_y : low_y; cy <= high_y; ++cy) {
-        const int row = grid.row(cy, cz);
-        const int stop = s.starts[row + high_x + 1];
-        for (int base = max(s.starts[row + low_x], after); base < stop; base += 32) {
+    // The rows of cells from their own on, 32 at a time: each lane looks up one.
+    const int rows_y = high_y - low_y + 1, rows = (high_z - first_z + 1) * rows_y;
+    for (int first_row = first_y - low_y; first_row < rows; first_row += 32) {
+      int begin = 0, stop = 0;
+      const int k = first_row + lane;
+      if (k < rows) {
+        const int row = grid.row(low_y + k % rows_y, first_z + k / rows_y);
+        begin = max(s.starts[row + low_x], after);
+        stop = s.starts[row + high_x + 1];
+      }
+      for (unsigned filled = __ballot_sync(kAllLanes, begin < stop); filled != 0; filled &= filled - 1u) {
+        const int from = __ffs(static_cast<int>(filled)) - 1;
+        const int row_stop = __shfl_sync(kAllLanes, stop, from);
+        for (int base = __shfl_sync(kAllLanes, begin, from); base < row_stop; base += 32) {
           const int j = base + lane;
           Entry other{};
-          if (j < stop) other = load_entry(s, j);
-          const bool keep = j < stop && overlap(all, other);
+          if (j < row_stop) other = load_entry(s, j);
+          const bool keep = j < row_stop && overlap(all, other);
           const unsigned kept = __ballot_sync(kAllLanes, keep);
           if (keep) {
             const int at = waiting + __popc(kept & ((1u << lane) - 1u));
@@ -487,18 +499,29 @@ __device__ __forceinline__ void visit_large(const Scratch& s, Narrow& narrow, in
 }
 
 __global__ void __launch_bounds__(Policy::impact_threads, Policy::resident_warps / Policy::warps)
-    impacts(const __grid_constant__ Scratch s, float* toi) {
+    impacts(const __grid_constant__ Scratch s, float* toi, int tiles_of_block) {
   __shared__ Grid grid;
   __shared__ Queues queues[Policy::warps];
-  if (threadIdx.x == 0) grid = collision::make_grid(*s.sums, samples_of(s.m), s.cell_capacity, grid_shape());
+  __shared__ int taken;
+  if (threadIdx.x == 0) {
+    grid = collision::make_grid(*s.sums, samples_of(s.m), s.cell_capacity, grid_shape());
+    taken = 0;
+  }
   __syncthreads();
   const int lane = static_cast<int>(threadIdx.x) % 32, warp_of_block = static_cast<int>(threadIdx.x) / 32;
   const int warp = static_cast<int>(blockIdx.x) * Policy::warps + warp_of_block;
   const int warps = static_cast<int>(gridDim.x) * Policy::warps;
   const int small = s.starts[s.cell_capacity];
   Narrow narrow(s, toi, queues[warp_of_block], lane);
-  if (static_cast<long long>(warp) * 32 < small)
-    visit_neighbours(grid, s, queues[warp_of_block], narrow, warp * 32 + lane, small, lane);
+  // Its queues stay filled from tile to tile, so that few batches are partial.
+  for (;;) {
+    int tile = 0;
+    if (lane == 0) tile = atomicAdd(&taken, 1);
+    tile = __shfl_sync(kAllLanes, tile, 0);
+    const std::int64_t first = 32 * (static_cast<std::int64_t>(blockIdx.x) * tiles_of_block + tile);
+    if (tile >= tiles_of_block || first >= small) break;
+    visit_neighbours(grid, s, queues[warp_of_block], narrow, static_cast<int>(first) + lane, small, lane);
+  }
   visit_large(s, narrow, small, warp, warps, lane);
   narrow.finish();
 }
@@ -551,7 +574,11 @@ class Reference {
     count<<<at_most(blocks_for(m, Policy::edge_threads)), Policy::edge_threads>>>(mesh, s, out.toi.data);
     primitives::exclusive_sum(scan_.get(), scan_bytes_, s.starts, s.starts, cells_ + 1);
     place<<<blocks_for(halves, Policy::edge_threads), Policy::edge_threads>>>(s);
-    impacts<<<blocks_for(m, Policy::impact_threads), Policy::impact_threads>>>(s, out.toi.data);
+    const std::int64_t tiles = (static_cast<std::int64_t>(m) + 31) / 32;
+    const int tiles_of_block =
+        Policy::warps * static_cast<int>(std::clamp<std::int64_t>(
+                            tiles / (2 * Policy::warps * Policy::resident_blocks), 1, Policy::tiles_of_warp));
+    impacts<<<blocks_for(tiles, tiles_of_block), Policy::impact_threads>>>(s, out.toi.data, tiles_of_block);
   }
 
  private:
