@@ -16,6 +16,7 @@
 // edges with a vertex in common; 3.0 M are examined, 1.3 M have a cubic that may change its sign, 0.39 M
 // events are found (counted on the host). references/collision_query/NOTES.md has the prediction stage by
 // stage.
+#include <algorithm>
 #include <cstddef>
 #include <cstdint>
 #include <stdexcept>
@@ -40,19 +41,24 @@ struct Policy {
 #ifdef GPUPHYS_OTHER_BLOCKS
   static constexpr int edge_threads = 128;  // one thread an edge
   static constexpr int warps = 2;           // of a block of `impacts`
-  static constexpr float cell_over_extent = 0.7f;
+  static constexpr float cell_over_extent[3] = {0.7f, 0.7f, 0.7f};
+  static constexpr int sampled_edges = 1000;
   static constexpr float large_over_extent = 8.0f;
 #else
   static constexpr int edge_threads = 256;
   static constexpr int warps = 4;
-  static constexpr float cell_over_extent =
-      1.0f;  // smaller: fewer candidates, more and shorter rows of cells
+  // Fine along x, where a warp reads a range of cells; along y and z smaller cells mean more, shorter ranges.
+  static constexpr float cell_over_extent[3] = {0.5f, 1.4f, 2.0f};
+  static constexpr int sampled_edges = 65536;  // for the mean extent
   static constexpr float large_over_extent = 4.0f;
 #endif
   static constexpr int edge_blocks = 132 * 8;  // at most, each thread then takes several edges
   static constexpr int large_chunk = 1024;     // candidates of a large box that a warp takes at a time
   static constexpr int resident_warps = 24;    // of `impacts` on an SM: 80 registers a thread
   static constexpr int impact_threads = 32 * warps;
+  // Of 32 places, that a warp takes on average: more leave fewer partial batches, fewer fill the SMs evenly.
+  static constexpr int tiles_of_warp = 4;
+  static constexpr int resident_blocks = 132 * resident_warps / warps;
 };
 
 constexpr unsigned kAllLanes = 0xffffffffu;
@@ -60,8 +66,8 @@ constexpr unsigned kAllLanes = 0xffffffffu;
 struct Mesh {
   const float* __restrict__ x0;
   const float* __restrict__ x1;
-  const std::int32_t* __restrict__ edges;
-  int m;
+  const int2* __restrict__ edges;
+  int n, m;  // vertices, edges
 };
 
 // The ends of an edge at both times.
@@ -72,10 +78,6 @@ struct EdgeMotion {
 __device__ __forceinline__ float3 position(const float* __restrict__ x, int v) {
   const float* p = x + 3 * static_cast<std::ptrdiff_t>(v);
   return {p[0], p[1], p[2]};
-}
-
-__device__ __forceinline__ int2 ends_of(const Mesh& mesh, int e) {
-  return {mesh.edges[2 * static_cast<std::ptrdiff_t>(e)], mesh.edges[2 * static_cast<std::ptrdiff_t>(e) + 1]};
 }
 
 __device__ __forceinline__ EdgeMotion motion_of(const Mesh& mesh, int2 ends) {
@@ -91,35 +93,70 @@ __device__ __forceinline__ SweptBox box_of(const EdgeMotion& e) {
 struct Scratch {
   SceneSums* sums;
   std::int32_t* starts;        // per cell: the count, after the scan the first place; one more for the large
+  float4* vertices;            // per vertex: two, its positions at both times; one 32-byte sector
+  float4* box_of_edge;         // [2][m] lower corners and first vertices, upper corners and second ones
   int2* cell_and_rank;         // per edge
   std::int32_t* order;         // per place: the edge
   float4* __restrict__ boxes;  // per place: two, lower and upper corner with the two vertices
-  float4* __restrict__ positions;  // per place: three, a0 b0 a1 b1
   int cell_capacity;
   int m;  // edges
 };
 
-__device__ __forceinline__ collision::GridShape grid_shape() {
-  return {Policy::cell_over_extent, Policy::large_over_extent};
+// The same from the packed vertices: a sector each.
+__device__ __forceinline__ EdgeMotion motion_of(const Scratch& s, int2 ends) {
+  const float4* a = s.vertices + 2 * static_cast<std::ptrdiff_t>(ends.x);
+  const float4* b = s.vertices + 2 * static_cast<std::ptrdiff_t>(ends.y);
+  const float4 p = __ldg(a), q = __ldg(a + 1), r = __ldg(b), t = __ldg(b + 1);
+  return {{p.x, p.y, p.z}, {r.x, r.y, r.z}, {p.w, q.x, q.y}, {r.w, t.x, t.y}};
 }
 
-__global__ void __launch_bounds__(Policy::edge_threads) sums(Mesh mesh, Scratch s, float* toi) {
+__device__ __forceinline__ int samples_of(int edges) {
+  return min(edges, Policy::sampled_edges);
+}
+
+__device__ __forceinline__ collision::GridShape grid_shape() {
+  return {{Policy::cell_over_extent[0], Policy::cell_over_extent[1], Policy::cell_over_extent[2]},
+          Policy::large_over_extent};
+}
+
+// Packs the vertices, two threads a vertex, whose box is the scene's; and samples the extents of edges.
+__global__ void __launch_bounds__(Policy::edge_threads) pack(Mesh mesh, Scratch s) {
   __shared__ unsigned codes[6];
   __shared__ float extents;
   if (threadIdx.x < 6) codes[threadIdx.x] = 0;
   if (threadIdx.x == 0) extents = 0.0f;
   __syncthreads();
   unsigned low[3] = {0, 0, 0}, high[3] = {0, 0, 0};
-  float extent = 0.0f;
+  const auto extend = [&](int d, float x) {
+    low[d] = max(low[d], collision::encode(-x));
+    high[d] = max(high[d], collision::encode(x));
+  };
+  const int thread = static_cast<int>(blockIdx.x * blockDim.x + threadIdx.x);
   const int stride = static_cast<int>(gridDim.x * blockDim.x);
-  for (int e = static_cast<int>(blockIdx.x * blockDim.x + threadIdx.x); e < mesh.m; e += stride) {
-    toi[e] = 1.0f;
-    const SweptBox box = box_of(motion_of(mesh, ends_of(mesh, e)));
-    extent += box.extent();
-    for (int d = 0; d < 3; ++d) {
-      low[d] = max(low[d], collision::encode(-box.centre(d)));
-      high[d] = max(high[d], collision::encode(box.centre(d)));
+  float extent = 0.0f;
+  const int samples = samples_of(mesh.m), step = mesh.m / max(samples, 1);
+  for (int k = thread; k < samples; k += stride) {
+    // One edge of each `step`, not always the same one of them: edges may come in a pattern.
+    const int e =
+        k * step + static_cast<int>(static_cast<unsigned>(k) * 2654435769u % static_cast<unsigned>(step));
+    extent += box_of(motion_of(mesh, mesh.edges[e])).extent();
+  }
+  for (std::int64_t t = thread; t < 2 * static_cast<std::int64_t>(mesh.n); t += stride) {
+    const float* p0 = mesh.x0 + 3 * (t / 2);
+    const float* p1 = mesh.x1 + 3 * (t / 2);
+    float4 half;
+    if (t % 2 == 0) {
+      half = {p0[0], p0[1], p0[2], p1[0]};
+      extend(0, half.x);
+      extend(1, half.y);
+      extend(2, half.z);
+      extend(0, half.w);
+    } else {
+      half = {p1[1], p1[2], 0.0f, 0.0f};
+      extend(1, half.x);
+      extend(2, half.y);
     }
+    s.vertices[t] = half;
   }
   extent = collision::warp_sum(extent);
   for (int d = 0; d < 3; ++d) {
@@ -136,21 +173,28 @@ __global__ void __launch_bounds__(Policy::edge_threads) sums(Mesh mesh, Scratch 
   __syncthreads();
   if (threadIdx.x < 3) atomicMax(&s.sums->low_code[threadIdx.x], codes[threadIdx.x]);
   if (threadIdx.x >= 3 && threadIdx.x < 6) atomicMax(&s.sums->high_code[threadIdx.x - 3], codes[threadIdx.x]);
-  if (threadIdx.x == 6) atomicAdd(&s.sums->extent_sum, extents);
+  if (threadIdx.x == 6 && extents > 0.0f) atomicAdd(&s.sums->extent_sum, extents);
 }
 
-__global__ void __launch_bounds__(Policy::edge_threads) count(Mesh mesh, Scratch s) {
+// Boxes in the order of the edges, each one's cell and its rank there.
+__global__ void __launch_bounds__(Policy::edge_threads) count(Mesh mesh, Scratch s, float* toi) {
   __shared__ Grid grid;
   __shared__ unsigned codes[3];
   if (threadIdx.x < 3) codes[threadIdx.x] = 0;
-  if (threadIdx.x == 0) grid = collision::make_grid(*s.sums, mesh.m, s.cell_capacity, grid_shape());
+  if (threadIdx.x == 0)
+    grid = collision::make_grid(*s.sums, samples_of(mesh.m), s.cell_capacity, grid_shape());
   __syncthreads();
   unsigned reach[3] = {0, 0, 0};
   const int stride = static_cast<int>(gridDim.x * blockDim.x);
   for (int e = static_cast<int>(blockIdx.x * blockDim.x + threadIdx.x); e < mesh.m; e += stride) {
-    const SweptBox box = box_of(motion_of(mesh, ends_of(mesh, e)));
+    const int2 ends = mesh.edges[e];
+    const SweptBox box = box_of(motion_of(s, ends));
     const int cell = collision::cell_of(grid, box, s.cell_capacity);
     s.cell_and_rank[e] = {cell, atomicAdd(&s.starts[cell], 1)};
+    s.box_of_edge[e] = {box.low[0], box.low[1], box.low[2], __int_as_float(ends.x)};
+    s.box_of_edge[static_cast<std::ptrdiff_t>(s.m) + e] = {box.high[0], box.high[1], box.high[2],
+                                                           __int_as_float(ends.y)};
+    toi[e] = 1.0f;
     if (cell == s.cell_capacity) continue;
     for (int d = 0; d < 3; ++d) {
       const float half = fmaxf(box.high[d] - box.centre(d), box.centre(d) - box.low[d]);
@@ -165,32 +209,21 @@ __global__ void __launch_bounds__(Policy::edge_threads) count(Mesh mesh, Scratch
   if (threadIdx.x < 3) atomicMax(&s.sums->reach_code[threadIdx.x], codes[threadIdx.x]);
 }
 
+// Two threads an edge, which write its box to its place as one whole sector.
 __global__ void __launch_bounds__(Policy::edge_threads) place(Scratch s) {
-  const int e = static_cast<int>(blockIdx.x * blockDim.x + threadIdx.x);
+  const std::int64_t t = static_cast<std::int64_t>(blockIdx.x) * blockDim.x + threadIdx.x;
+  const int e = static_cast<int>(t / 2), half = static_cast<int>(t % 2);
   if (e >= s.m) return;
   const int2 at = s.cell_and_rank[e];
-  s.order[s.starts[at.x] + at.y] = e;
-}
-
-__global__ void __launch_bounds__(Policy::edge_threads) gather(Mesh mesh, Scratch s) {
-  const int p = static_cast<int>(blockIdx.x * blockDim.x + threadIdx.x);
-  if (p >= mesh.m) return;
-  const int2 ends = ends_of(mesh, s.order[p]);
-  const EdgeMotion e = motion_of(mesh, ends);
-  const SweptBox box = box_of(e);
-  float4* b = s.boxes + 2 * static_cast<std::ptrdiff_t>(p);
-  b[0] = {box.low[0], box.low[1], box.low[2], __int_as_float(ends.x)};
-  b[1] = {box.high[0], box.high[1], box.high[2], __int_as_float(ends.y)};
-  float4* x = s.positions + 3 * static_cast<std::ptrdiff_t>(p);
-  x[0] = {e.a0.x, e.a0.y, e.a0.z, e.b0.x};
-  x[1] = {e.b0.y, e.b0.z, e.a1.x, e.a1.y};
-  x[2] = {e.a1.z, e.b1.x, e.b1.y, e.b1.z};
+  const float4 corner = s.box_of_edge[half * static_cast<std::ptrdiff_t>(s.m) + e];
+  const int place = s.starts[at.x] + at.y;
+  s.boxes[2 * static_cast<std::ptrdiff_t>(place) + half] = corner;
+  if (half == 0) s.order[place] = e;
 }
 
 __device__ __forceinline__ EdgeMotion load_motion(const Scratch& s, int place) {
-  const float4* x = s.positions + 3 * static_cast<std::ptrdiff_t>(place);
-  const float4 p = __ldg(x), q = __ldg(x + 1), r = __ldg(x + 2);
-  return {{p.x, p.y, p.z}, {p.w, q.x, q.y}, {q.z, q.w, r.x}, {r.y, r.z, r.w}};
+  const float4* b = s.boxes + 2 * static_cast<std::ptrdiff_t>(place);
+  return motion_of(s, {__float_as_int(__ldg(&b[0].w)), __float_as_int(__ldg(&b[1].w))});
 }
 
 // A pair's relative motion: u and v along the edges, w between their first ends.
@@ -216,8 +249,11 @@ __device__ __forceinline__ bool meet(float3 u, float3 v, float3 w) {
   return crossing && s >= 0.0f && s <= nn && r >= 0.0f && r <= nn;
 }
 
-// Two queues of pairs in shared memory, those to examine and those to bisect, filled and emptied by one warp.
+// What a warp keeps in shared memory: candidates, read 32 at a time, and two queues of pairs, those to
+// examine and those to bisect.
 struct Queues {
+  float4 low[64], high[64];  // candidates
+  int place[64];
   int2 overlapping[64];
   int2 crossing[64];
 };
@@ -324,64 +360,121 @@ __device__ __forceinline__ Entry load_entry(const Scratch& s, int place) {
   return {__ldg(b), __ldg(b + 1)};
 }
 
+__device__ __forceinline__ bool overlap(const Entry& p, const Entry& q) {
+  return (p.low.x <= q.high.x) & (q.low.x <= p.high.x) & (p.low.y <= q.high.y) & (q.low.y <= p.high.y) &
+         (p.low.z <= q.high.z) & (q.low.z <= p.high.z);
+}
+
 // Boxes overlap and their edges share no vertex. No short cuts: ten comparisons cost less than a branch.
 __device__ __forceinline__ bool is_candidate(const Entry& p, const Entry& q) {
-  const bool overlap = (p.low.x <= q.high.x) & (q.low.x <= p.high.x) & (p.low.y <= q.high.y) &
-                       (q.low.y <= p.high.y) & (p.low.z <= q.high.z) & (q.low.z <= p.high.z);
   const int a = __float_as_int(p.low.w), b = __float_as_int(p.high.w);
   const int c = __float_as_int(q.low.w), d = __float_as_int(q.high.w);
-  return overlap & (a != c) & (a != d) & (b != c) & (b != d);
+  return overlap(p, q) & (a != c) & (a != d) & (b != c) & (b != d);
+}
+
+// `size` (at most 32) candidates from `first` on against the boxes of all lanes. Which of them each lane hits
+// is kept in a mask, so that the comparisons run without a vote or a branch.
+__device__ __forceinline__ void compare(const Queues& q, int first, int size, const Entry& mine, bool walks,
+                                        int i, Narrow& narrow) {
+  constexpr int unrolled = 8;
+  unsigned hits = 0;
+#pragma unroll 1
+  for (int base = 0; base < size; base += unrolled) {
+    unsigned some = 0;
+#pragma unroll
+    for (int k = 0; k < unrolled; ++k) {
+      const int at = first + base + k;
+      if (is_candidate(mine, {q.low[at], q.high[at]})) some |= 1u << k;
+    }
+    hits |= some << base;
+  }
+  if (size < 32) hits &= (1u << size) - 1u;
+  if (!walks) hits = 0;
+  while (__any_sync(kAllLanes, hits != 0)) {
+    const int j = hits != 0 ? q.place[first + __ffs(static_cast<int>(hits)) - 1] : -1;
+    hits &= hits - 1u;
+    narrow.add(j > i, i, j);  // pairs are met once, from the lower place
+  }
+  __syncwarp();
+}
+
+// The largest number among the lanes that have `takes` set, the smallest number there is if none has.
+__device__ __forceinline__ float largest(float x, bool takes) {
+  return collision::decode(collision::warp_max(takes ? collision::encode(x) : 0x00800000u));
 }
 
 // The pairs of 32 places in a row, `i` of this lane (at or beyond `end`: none).
-__device__ __forceinline__ void visit_neighbours(const Grid& grid, const Scratch& s, Narrow& narrow, int i,
-                                                 int end) {
+__device__ __forceinline__ void visit_neighbours(const Grid& grid, const Scratch& s, Queues& q,
+                                                 Narrow& narrow, int i, int end, int lane) {
   Entry mine{};
-  int x[2] = {0, 0}, y[2] = {0, 0}, z[2] = {0, 0}, own_y = 0, own_z = 0;
+  int own_y = 0, own_z = 0;
   const bool present = i < end;
   if (present) {
     mine = load_entry(s, i);
     const SweptBox box{{mine.low.x, mine.low.y, mine.low.z}, {mine.high.x, mine.high.y, mine.high.z}};
-    x[0] = grid.coordinate(box.low[0] - grid.reach[0], 0);
-    x[1] = grid.coordinate(box.high[0] + grid.reach[0], 0);
-    y[0] = grid.coordinate(box.low[1] - grid.reach[1], 1);
-    y[1] = grid.coordinate(box.high[1] + grid.reach[1], 1);
-    z[1] = grid.coordinate(box.high[2] + grid.reach[2], 2);
     own_y = grid.coordinate(box.centre(1), 1);
     own_z = grid.coordinate(box.centre(2), 2);
   }
   const int own_row = grid.row(own_y, own_z);
-  // Lanes whose boxes lie in the same row of cells walk together.
+  // Lanes whose boxes lie in the same row of cells walk together. Every vote and shuffle here is by all
+  // lanes, also by those without a place.
   for (unsigned todo = __ballot_sync(kAllLanes, present); todo != 0;) {
     const int leader = __ffs(static_cast<int>(todo)) - 1;
-    const int leading_row =
-        __shfl_sync(kAllLanes, own_row, leader);  // by all lanes, also those without a place
+    const int leading_row = __shfl_sync(kAllLanes, own_row, leader);
     const bool walks = present && own_row == leading_row;
-    const unsigned walkers = __ballot_sync(kAllLanes, walks);
-    todo &= ~walkers;
-    const int below = walks ? i : 0x7fffffff;  // partners have higher places
+    todo &= ~__ballot_sync(kAllLanes, walks);
     // All rows before their own hold lower places only.
-    const int first_z = __shfl_sync(kAllLanes, own_z, leader),
-              first_y = __shfl_sync(kAllLanes, own_y, leader);
+    const int first_z = __shfl_sync(kAllLanes, own_z, leader);
+    const int first_y = __shfl_sync(kAllLanes, own_y, leader);
     const int after = __shfl_sync(kAllLanes, i, leader) + 1;
-    const int low_x = __reduce_min_sync(kAllLanes, walks ? x[0] : 0x7fffffff);
-    const int high_x = __reduce_max_sync(kAllLanes, walks ? x[1] : -1);
-    const int low_y = __reduce_min_sync(kAllLanes, walks ? y[0] : 0x7fffffff);
-    const int high_y = __reduce_max_sync(kAllLanes, walks ? y[1] : -1);
-    const int high_z = __reduce_max_sync(kAllLanes, walks ? z[1] : -1);
-    for (int cz = first_z; cz <= high_z; ++cz) {
-      for (int cy = cz == first_z ? first_y : low_y; cy <= high_y; ++cy) {
-        const int row = grid.row(cy, cz);
-        const int begin = max(s.starts[row + low_x], after), stop = s.starts[row + high_x + 1];
-        if (begin >= stop) continue;
-        Entry other = load_entry(s, begin);
-        for (int j = begin; j < stop; ++j) {
-          const Entry next = load_entry(s, min(j + 1, stop - 1));  // under way while this one is compared
-          narrow.add((j > below) & is_candidate(mine, other), i, j);
-          other = next;
+    Entry all{};  // the box around theirs
+    all.low.x = -largest(-mine.low.x, walks);
+    all.low.y = -largest(-mine.low.y, walks);
+    all.low.z = -largest(-mine.low.z, walks);
+    all.high.x = largest(mine.high.x, walks);
+    all.high.y = largest(mine.high.y, walks);
+    all.high.z = largest(mine.high.z, walks);
+    const int low_x = grid.coordinate(all.low.x - grid.reach[0], 0);
+    const int high_x = grid.coordinate(all.high.x + grid.reach[0], 0);
+    const int low_y = grid.coordinate(all.low.y - grid.reach[1], 1);
+    const int high_y = grid.coordinate(all.high.y + grid.reach[1], 1);
+    const int high_z = grid.coordinate(all.high.z + grid.reach[2], 2);
+    int waiting = 0;
+    // The rows of cells from their own on, 32 at a time: each lane looks up one.
+    const int rows_y = high_y - low_y + 1, rows = (high_z - first_z + 1) * rows_y;
+    for (int first_row = first_y - low_y; first_row < rows; first_row += 32) {
+      int begin = 0, stop = 0;
+      const int k = first_row + lane;
+      if (k < rows) {
+        const int row = grid.row(low_y + k % rows_y, first_z + k / rows_y);
+        begin = max(s.starts[row + low_x], after);
+        stop = s.starts[row + high_x + 1];
+      }
+      for (unsigned filled = __ballot_sync(kAllLanes, begin < stop); filled != 0; filled &= filled - 1u) {
+        const int from = __ffs(static_cast<int>(filled)) - 1;
+        const int row_stop = __shfl_sync(kAllLanes, stop, from);
+        for (int base = __shfl_sync(kAllLanes, begin, from); base < row_stop; base += 32) {
+          const int j = base + lane;
+          Entry other{};
+          if (j < row_stop) other = load_entry(s, j);
+          const bool keep = j < row_stop && overlap(all, other);
+          const unsigned kept = __ballot_sync(kAllLanes, keep);
+          if (keep) {
+            const int at = waiting + __popc(kept & ((1u << lane) - 1u));
+            q.low[at] = other.low;
+            q.high[at] = other.high;
+            q.place[at] = j;
+          }
+          __syncwarp();
+          waiting += __popc(kept);
+          if (waiting >= 32) {
+            waiting -= 32;
+            compare(q, waiting, 32, mine, walks, i, narrow);
+          }
         }
       }
     }
+    if (waiting > 0) compare(q, 0, waiting, mine, walks, i, narrow);
   }
 }
 
@@ -406,17 +499,29 @@ __device__ __forceinline__ void visit_large(const Scratch& s, Narrow& narrow, in
 }
 
 __global__ void __launch_bounds__(Policy::impact_threads, Policy::resident_warps / Policy::warps)
-    impacts(const __grid_constant__ Scratch s, float* toi) {
+    impacts(const __grid_constant__ Scratch s, float* toi, int tiles_of_block) {
   __shared__ Grid grid;
   __shared__ Queues queues[Policy::warps];
-  if (threadIdx.x == 0) grid = collision::make_grid(*s.sums, s.m, s.cell_capacity, grid_shape());
+  __shared__ int taken;
+  if (threadIdx.x == 0) {
+    grid = collision::make_grid(*s.sums, samples_of(s.m), s.cell_capacity, grid_shape());
+    taken = 0;
+  }
   __syncthreads();
   const int lane = static_cast<int>(threadIdx.x) % 32, warp_of_block = static_cast<int>(threadIdx.x) / 32;
   const int warp = static_cast<int>(blockIdx.x) * Policy::warps + warp_of_block;
   const int warps = static_cast<int>(gridDim.x) * Policy::warps;
   const int small = s.starts[s.cell_capacity];
   Narrow narrow(s, toi, queues[warp_of_block], lane);
-  if (static_cast<long long>(warp) * 32 < small) visit_neighbours(grid, s, narrow, warp * 32 + lane, small);
+  // Its queues stay filled from tile to tile, so that few batches are partial.
+  for (;;) {
+    int tile = 0;
+    if (lane == 0) tile = atomicAdd(&taken, 1);
+    tile = __shfl_sync(kAllLanes, tile, 0);
+    const std::int64_t first = 32 * (static_cast<std::int64_t>(blockIdx.x) * tiles_of_block + tile);
+    if (tile >= tiles_of_block || first >= small) break;
+    visit_neighbours(grid, s, queues[warp_of_block], narrow, static_cast<int>(first) + lane, small, lane);
+  }
   visit_large(s, narrow, small, warp, warps, lane);
   narrow.finish();
 }
@@ -435,10 +540,11 @@ class Reference {
     cells_ = m + collision::kLeastCells;
     // The sums stand before the counts, so that one memset clears both.
     counters_ = DeviceBuffer<std::int32_t>(static_cast<std::size_t>(kSumsWords + cells_ + 1));
+    vertices_ = DeviceBuffer<float4>(2 * static_cast<std::size_t>(in.x0.shape[0]));
+    box_of_edge_ = DeviceBuffer<float4>(2 * count);
     cell_and_rank_ = DeviceBuffer<int2>(count);
     order_ = DeviceBuffer<std::int32_t>(count);
     boxes_ = DeviceBuffer<float4>(2 * count);
-    positions_ = DeviceBuffer<float4>(3 * count);
     scan_bytes_ = primitives::exclusive_sum_bytes(cells_ + 1);
     scan_ = DeviceBuffer<unsigned char>(scan_bytes_);
   }
@@ -446,25 +552,33 @@ class Reference {
   void compute(const Inputs& in, const Outputs<float>& out) {
     const int m = static_cast<int>(in.edges.shape[0]);
     if (m == 0) return;
-    const Mesh mesh{in.x0.data, in.x1.data, in.edges.data, m};
+    const int n = static_cast<int>(in.x0.shape[0]);
+    const Mesh mesh{in.x0.data, in.x1.data, reinterpret_cast<const int2*>(in.edges.data), n, m};
     const Scratch s{reinterpret_cast<SceneSums*>(counters_.get()),
                     counters_.get() + kSumsWords,
+                    vertices_.get(),
+                    box_of_edge_.get(),
                     cell_and_rank_.get(),
                     order_.get(),
                     boxes_.get(),
-                    positions_.get(),
                     static_cast<int>(cells_),
                     m};
     GPUPHYS_CUDA(cudaMemsetAsync(counters_.get(), 0,
                                  sizeof(std::int32_t) * static_cast<std::size_t>(kSumsWords + cells_ + 1)));
-    const unsigned blocks = blocks_for(m, Policy::edge_threads);
-    const unsigned few = min(blocks, static_cast<unsigned>(Policy::edge_blocks));
-    sums<<<few, Policy::edge_threads>>>(mesh, s, out.toi.data);
-    count<<<few, Policy::edge_threads>>>(mesh, s);
+    const auto at_most = [](unsigned blocks) {
+      return std::min(blocks, static_cast<unsigned>(Policy::edge_blocks));
+    };
+    const std::int64_t halves = 2 * static_cast<std::int64_t>(m);
+    pack<<<at_most(blocks_for(2 * static_cast<std::int64_t>(std::max(n, m)), Policy::edge_threads)),
+           Policy::edge_threads>>>(mesh, s);
+    count<<<at_most(blocks_for(m, Policy::edge_threads)), Policy::edge_threads>>>(mesh, s, out.toi.data);
     primitives::exclusive_sum(scan_.get(), scan_bytes_, s.starts, s.starts, cells_ + 1);
-    place<<<blocks, Policy::edge_threads>>>(s);
-    gather<<<blocks, Policy::edge_threads>>>(mesh, s);
-    impacts<<<blocks_for(m, Policy::impact_threads), Policy::impact_threads>>>(s, out.toi.data);
+    place<<<blocks_for(halves, Policy::edge_threads), Policy::edge_threads>>>(s);
+    const std::int64_t tiles = (static_cast<std::int64_t>(m) + 31) / 32;
+    const int tiles_of_block =
+        Policy::warps * static_cast<int>(std::clamp<std::int64_t>(
+                            tiles / (2 * Policy::warps * Policy::resident_blocks), 1, Policy::tiles_of_warp));
+    impacts<<<blocks_for(tiles, tiles_of_block), Policy::impact_threads>>>(s, out.toi.data, tiles_of_block);
   }
 
  private:
@@ -475,7 +589,7 @@ class Reference {
   std::size_t scan_bytes_ = 0;
   DeviceBuffer<std::int32_t> counters_, order_;
   DeviceBuffer<int2> cell_and_rank_;
-  DeviceBuffer<float4> boxes_, positions_;
+  DeviceBuffer<float4> vertices_, box_of_edge_, boxes_;
   DeviceBuffer<unsigned char> scan_;
 };
 

@@ -83,21 +83,24 @@ __device__ __forceinline__ float first_crossing(const Cubic& f, Accept&& accept)
     first = fminf(t0, t1);
     second = fmaxf(t0, t1);
   }
-  float impact = 1.0f, low = 0.0f;
-  bool below = f.c0 < 0.0f;
+  // Pieces whose ends differ in sign, one bit each: only those are bisected, mostly one, and so the lanes of
+  // a warp bisect together whichever piece it is.
+  const bool below0 = f.c0 < 0.0f, below1 = f.at(first) < 0.0f;
+  const bool below2 = f.at(second) < 0.0f, below3 = f.at(1.0f) < 0.0f;
+  unsigned pieces =
+      (below0 != below1 ? 1u : 0u) | (below1 != below2 ? 2u : 0u) | (below2 != below3 ? 4u : 0u);
+  float impact = 1.0f;
 #pragma unroll 1
-  for (int piece = 0; piece < 3 && low < 1.0f; ++piece) {
-    const float high = piece == 0 ? first : piece == 1 ? second : 1.0f;
-    const bool ends_below = f.at(high) < 0.0f;
-    if (below != ends_below) {
-      const float t = bisect(f, low, high, below);
-      if (accept(t)) {
-        impact = t;
-        break;
-      }
+  while (pieces != 0) {
+    const bool in_first = (pieces & 1u) != 0, in_second = (pieces & 3u) == 2u;
+    const float low = in_first ? 0.0f : in_second ? first : second;
+    const float high = in_first ? first : in_second ? second : 1.0f;
+    const float t = bisect(f, low, high, in_first ? below0 : in_second ? below1 : below2);
+    if (accept(t)) {
+      impact = t;
+      break;
     }
-    below = ends_below;
-    low = high;
+    pieces &= pieces - 1u;
   }
   return impact;
 }

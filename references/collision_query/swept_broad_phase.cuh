@@ -21,9 +21,10 @@ namespace gpuphys::collision {
 /// Sums over all boxes. Extrema are kept as the largest order-preserving code, for which 0 stands below
 /// every number: one memset prepares all of them.
 struct SceneSums {
-  unsigned low_code[3], high_code[3];  ///< of the centres; the lower end as that of the negated coordinate
-  unsigned reach_code[3];              ///< largest half extent of the boxes in the grid
-  float extent_sum;                    ///< of the largest extent of each box
+  unsigned low_code[3],
+      high_code[3];        ///< around the centres; the lower end as that of the negated coordinate
+  unsigned reach_code[3];  ///< largest half extent of the boxes in the grid
+  float extent_sum;        ///< of the largest extent of boxes
 };
 
 __device__ __forceinline__ unsigned encode(float x) {
@@ -35,7 +36,7 @@ __device__ __forceinline__ float decode(unsigned code) {
 }
 
 struct Grid {
-  float low[3], inverse_cell;
+  float low[3], inverse_cell[3];
   int n[3];
   float reach[3];
   float large;  ///< boxes whose largest extent exceeds it are not in the grid
@@ -43,18 +44,18 @@ struct Grid {
   __device__ __forceinline__ int coordinate(float x, int d) const {
     // The clamp comes first: beyond the grid a float may not fit an int.
     const float top = static_cast<float>(n[d] - 1);
-    return static_cast<int>(fminf(fmaxf((x - low[d]) * inverse_cell, 0.0f), top));
+    return static_cast<int>(fminf(fmaxf((x - low[d]) * inverse_cell[d], 0.0f), top));
   }
   __device__ __forceinline__ int row(int y, int z) const { return (z * n[1] + y) * n[0]; }
 };
 
 /// Cells as a multiple of the mean extent; boxes above `large` times the mean are kept apart.
 struct GridShape {
-  float cell_over_extent, large_over_extent;
+  float cell_over_extent[3], large_over_extent;
 };
 
-/// The same in every thread that asks, once the sums over the boxes are complete (`reach` needs those of the
-/// second pass).
+/// The same in every thread that asks, once the sums are complete (`reach` needs those of the second pass).
+/// `boxes`: how many `extent_sum` is over, all or a sample.
 __device__ inline Grid make_grid(const SceneSums& sums, int boxes, int cell_capacity, GridShape shape) {
   Grid g;
   float range[3], longest = 0.0f;
@@ -67,16 +68,20 @@ __device__ inline Grid make_grid(const SceneSums& sums, int boxes, int cell_capa
   }
   const float mean = sums.extent_sum / static_cast<float>(boxes);
   g.large = shape.large_over_extent * mean;
-  float cell = fmaxf(fmaxf(shape.cell_over_extent * mean, 1e-6f * longest), 1e-30f);
+  float cell[3];
+  for (int d = 0; d < 3; ++d)
+    cell[d] = fmaxf(fmaxf(shape.cell_over_extent[d] * mean, 1e-6f * longest), 1e-30f);
   const float capacity = static_cast<float>(cell_capacity) * 0.999f;
   for (;;) {
     float product = 1.0f;
-    for (int d = 0; d < 3; ++d) product *= floorf(range[d] / cell) + 2.0f;
+    for (int d = 0; d < 3; ++d) product *= floorf(range[d] / cell[d]) + 2.0f;
     if (!(product > capacity)) break;
-    cell *= 1.2f;
+    for (int d = 0; d < 3; ++d) cell[d] *= 1.2f;
   }
-  g.inverse_cell = 1.0f / cell;
-  for (int d = 0; d < 3; ++d) g.n[d] = static_cast<int>(floorf(range[d] / cell)) + 2;
+  for (int d = 0; d < 3; ++d) {
+    g.inverse_cell[d] = 1.0f / cell[d];
+    g.n[d] = static_cast<int>(floorf(range[d] / cell[d])) + 2;
+  }
   return g;
 }
 
