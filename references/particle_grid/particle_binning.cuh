@@ -110,11 +110,12 @@ __global__ void __launch_bounds__(Threads)
     const int tile = locate(grid, position[s][0], position[s][1], position[s][2]).tile;
     rank[s] = p < n && tile >= 0 ? atomicAdd(&counts[tile], 1) : -1;
   }
-  if (!Ranks) return;
+  if constexpr (Ranks) {
 #pragma unroll
-  for (int s = 0; s < PerThread; ++s) {
-    const std::int64_t p = first + s * Threads;
-    if (p < n) ranks[p] = rank[s];
+    for (int s = 0; s < PerThread; ++s) {
+      const std::int64_t p = first + s * Threads;
+      if (p < n) ranks[p] = rank[s];
+    }
   }
 }
 
