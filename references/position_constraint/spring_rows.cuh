@@ -298,7 +298,8 @@ class HalfSprings {
   /// writes the particles at rest to `placed`.
   void build(const int2* ends, const float* rest, const std::int32_t* number, const std::uint32_t* order,
              const float* x, const float* inv_mass, Particle* placed) const {
-    const int share = (m_ + Shape::blocks - 1) / Shape::blocks;
+    const int warps = (m_ + 31) / 32;  // shares begin at whole sectors
+    const int share = (warps + Shape::blocks - 1) / Shape::blocks * 32;
     const auto blocks = static_cast<unsigned>(Shape::blocks);
     count_bins<Shape::count_threads><<<blocks, Shape::count_threads>>>(
         ends, number, m_, share, shift_, bins(), renumbered_.get(), matrix_.get());
