@@ -254,7 +254,7 @@ __device__ __forceinline__ bool meet(float3 u, float3 v, float3 w) {
 struct Queues {
   float4 low[64], high[64];  // candidates
   int place[64];
-  int2 overlapping[64];
+  int2 overlapping[128];
   int2 crossing[64];
 };
 
@@ -322,10 +322,29 @@ class Narrow {
     const unsigned hits = __ballot_sync(kAllLanes, hit);
     if (hits == 0) return;
     overlaps_ = append(queues_.overlapping, overlaps_, hits, {i, j}, lane_);
-    if (overlaps_ >= 32) {
-      overlaps_ -= 32;
-      crossings_ = examine(s_, toi_, queues_.crossing, crossings_, lane_, true,
-                           take(queues_.overlapping, overlaps_, lane_));
+    examine_full_batches();
+  }
+
+  // All lanes call it: a bit of `hits` stands for the pair of place i with the candidate of that number from
+  // `first` on. Up to three pairs a lane go to the queue at a time, which has room for them beside the 31
+  // that may be left.
+  __device__ __forceinline__ void add_all(unsigned hits, int i, int first) {
+    const unsigned lanes_before = (1u << lane_) - 1u;
+    while (__any_sync(kAllLanes, hits != 0)) {
+      const int mine = min(__popc(hits), 3);
+      const unsigned ones = __ballot_sync(kAllLanes, (mine & 1) != 0);
+      const unsigned twos = __ballot_sync(kAllLanes, (mine & 2) != 0);
+      const int at = overlaps_ + __popc(ones & lanes_before) + 2 * __popc(twos & lanes_before);
+#pragma unroll
+      for (int k = 0; k < 3; ++k) {
+        if (k < mine) {
+          queues_.overlapping[at + k] = {i, queues_.place[first + __ffs(static_cast<int>(hits)) - 1]};
+          hits &= hits - 1u;
+        }
+      }
+      __syncwarp();
+      overlaps_ += __popc(ones) + 2 * __popc(twos);
+      examine_full_batches();
     }
   }
 
@@ -343,6 +362,14 @@ class Narrow {
   }
 
  private:
+  __device__ __forceinline__ void examine_full_batches() {
+    while (overlaps_ >= 32) {
+      overlaps_ -= 32;
+      crossings_ = examine(s_, toi_, queues_.crossing, crossings_, lane_, true,
+                           take(queues_.overlapping, overlaps_, lane_));
+    }
+  }
+
   const Scratch& s_;
   float* toi_;
   Queues& queues_;
@@ -389,12 +416,19 @@ __device__ __forceinline__ void compare(const Queues& q, int first, int size, co
     hits |= some << base;
   }
   if (size < 32) hits &= (1u << size) - 1u;
-  if (!walks) hits = 0;
-  while (__any_sync(kAllLanes, hits != 0)) {
-    const int j = hits != 0 ? q.place[first + __ffs(static_cast<int>(hits)) - 1] : -1;
-    hits &= hits - 1u;
-    narrow.add(j > i, i, j);  // pairs are met once, from the lower place
+  // Pairs are met once, from the lower place. Candidates stand in the order of their places; only the first
+  // ones may come from the warp's own.
+  if (__any_sync(kAllLanes, walks && q.place[first] <= i)) {
+    int lower = 0;
+#pragma unroll
+    for (int step = 16; step > 0; step /= 2) {
+      const int at = lower + step - 1;
+      if (at < size && q.place[first + at] <= i) lower += step;
+    }
+    if (lower < size && q.place[first + lower] <= i) ++lower;
+    hits = lower < 32 ? hits & (0xffffffffu << lower) : 0;
   }
+  narrow.add_all(walks ? hits : 0u, i, first);
   __syncwarp();
 }
 
