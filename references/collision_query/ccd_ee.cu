@@ -1,21 +1,25 @@
 // ccd_ee in FP32: the time of the first impact of every edge with another one.
 //
-// 1. sums: one thread an edge; bounding box of the centres and mean extent of the swept boxes.
-// 2. count: one thread an edge; its cell and its rank in it. A scan turns the counts into the cells' starts.
-// 3. place, gather: edges in the order of their cells; one thread a place fetches the ends once and writes a
-//    box (32 bytes, with the two vertices) and the relative motion's raw positions (48 bytes).
-// 4. impacts: a warp owns 32 places in a row. It walks the cells within reach of any of them; each candidate
-// is
-//    loaded once, the same for all lanes, and every lane compares it with its own box. Pairs are met once,
-//    from the lower place. Those whose boxes overlap and that share no vertex go to a queue of the warp in
-//    shared memory and are examined 32 at a time: a cubic whose Bernstein coefficients have one sign is
-//    dropped, the rest goes to a second queue, from which 32 at a time are bisected. So the long instruction
-//    streams run with full warps although few candidates get that far.
+// 1. pack: both positions of a vertex in one 32-byte sector, written by two threads; the scene's box, and the
+//    mean extent of a sample of the edges' swept boxes. With them the grid is known before any pass over
+//    edges.
+// 2. count: one thread an edge; fetches the ends once, keeps the box in the order of the edges, finds its
+// cell
+//    and its rank there. A scan turns the counts into the cells' starts.
+// 3. place: two threads an edge; its box with the two vertices goes to its place as one whole sector.
+// 4. impacts: a warp takes tiles of 32 places in a row. It walks the cells within reach of them, reads 32
+//    candidates at a time, one a lane, and keeps in shared memory those that overlap the box around the tile.
+//    32 of these are compared with the boxes of all lanes, without a vote or a branch; the hits of a lane are
+//    the bits of a mask. Pairs are met once, from the lower place. Those whose boxes overlap and that share
+//    no vertex go to a queue of the warp and are examined 32 at a time: a cubic whose Bernstein coefficients
+//    have one sign is dropped, the rest goes to a second queue, from which 32 at a time are bisected. Both
+//    outlive the tile. So the long instruction streams run with full warps although few candidates get that
+//    far.
 //
-// What bounds it: the broad phase. Of the paper's public input 9.1 M pairs of boxes overlap, 6.1 M of them of
-// edges with a vertex in common; 3.0 M are examined, 1.3 M have a cubic that may change its sign, 0.39 M
-// events are found (counted on the host). references/collision_query/NOTES.md has the prediction stage by
-// stage.
+// What bounds it: instructions of `impacts`, and random sectors from L2 in `count` and `place`. Of the
+// paper's public input 9.1 M pairs of boxes overlap, 6.1 M of them of edges with a vertex in common; 3.0 M
+// are examined, 1.3 M have a cubic that may change its sign, 0.39 M events are found (counted on the host).
+// references/collision_query/NOTES.md has the predictions stage by stage and what was measured.
 #include <algorithm>
 #include <cstddef>
 #include <cstdint>
