@@ -1,21 +1,25 @@
 // ccd_ee in FP32: the time of the first impact of every edge with another one.
 //
-// 1. sums: one thread an edge; bounding box of the centres and mean extent of the swept boxes.
-// 2. count: one thread an edge; its cell and its rank in it. A scan turns the counts into the cells' starts.
-// 3. place, gather: edges in the order of their cells; one thread a place fetches the ends once and writes a
-//    box (32 bytes, with the two vertices) and the relative motion's raw positions (48 bytes).
-// 4. impacts: a warp owns 32 places in a row. It walks the cells within reach of any of them; each candidate
-// is
-//    loaded once, the same for all lanes, and every lane compares it with its own box. Pairs are met once,
-//    from the lower place. Those whose boxes overlap and that share no vertex go to a queue of the warp in
-//    shared memory and are examined 32 at a time: a cubic whose Bernstein coefficients have one sign is
-//    dropped, the rest goes to a second queue, from which 32 at a time are bisected. So the long instruction
-//    streams run with full warps although few candidates get that far.
+// 1. pack: both positions of a vertex in one 32-byte sector, written by two threads; the scene's box, and the
+//    mean extent of a sample of the edges' swept boxes. With them the grid is known before any pass over
+//    edges.
+// 2. count: one thread an edge; fetches the ends once, keeps the box in the order of the edges, finds its
+// cell
+//    and its rank there. A scan turns the counts into the cells' starts.
+// 3. place: two threads an edge; its box with the two vertices goes to its place as one whole sector.
+// 4. impacts: a warp takes tiles of 32 places in a row. It walks the cells within reach of them, reads 32
+//    candidates at a time, one a lane, and keeps in shared memory those that overlap the box around the tile.
+//    32 of these are compared with the boxes of all lanes, without a vote or a branch; the hits of a lane are
+//    the bits of a mask. Pairs are met once, from the lower place. Those whose boxes overlap and that share
+//    no vertex go to a queue of the warp and are examined 32 at a time: a cubic whose Bernstein coefficients
+//    have one sign is dropped, the rest goes to a second queue, from which 32 at a time are bisected. Both
+//    outlive the tile. So the long instruction streams run with full warps although few candidates get that
+//    far.
 //
-// What bounds it: the broad phase. Of the paper's public input 9.1 M pairs of boxes overlap, 6.1 M of them of
-// edges with a vertex in common; 3.0 M are examined, 1.3 M have a cubic that may change its sign, 0.39 M
-// events are found (counted on the host). references/collision_query/NOTES.md has the prediction stage by
-// stage.
+// What bounds it: instructions of `impacts`, and random sectors from L2 in `count` and `place`. Of the
+// paper's public input 9.1 M pairs of boxes overlap, 6.1 M of them of edges with a vertex in common; 3.0 M
+// are examined, 1.3 M have a cubic that may change its sign, 0.39 M events are found (counted on the host).
+// references/collision_query/NOTES.md has the predictions stage by stage and what was measured.
 #include <algorithm>
 #include <cstddef>
 #include <cstdint>
@@ -254,7 +258,7 @@ __device__ __forceinline__ bool meet(float3 u, float3 v, float3 w) {
 struct Queues {
   float4 low[64], high[64];  // candidates
   int place[64];
-  int2 overlapping[64];
+  int2 overlapping[128];
   int2 crossing[64];
 };
 
@@ -322,10 +326,29 @@ class Narrow {
     const unsigned hits = __ballot_sync(kAllLanes, hit);
     if (hits == 0) return;
     overlaps_ = append(queues_.overlapping, overlaps_, hits, {i, j}, lane_);
-    if (overlaps_ >= 32) {
-      overlaps_ -= 32;
-      crossings_ = examine(s_, toi_, queues_.crossing, crossings_, lane_, true,
-                           take(queues_.overlapping, overlaps_, lane_));
+    examine_full_batches();
+  }
+
+  // All lanes call it: a bit of `hits` stands for the pair of place i with the candidate of that number from
+  // `first` on. Up to three pairs a lane go to the queue at a time, which has room for them beside the 31
+  // that may be left.
+  __device__ __forceinline__ void add_all(unsigned hits, int i, int first) {
+    const unsigned lanes_before = (1u << lane_) - 1u;
+    while (__any_sync(kAllLanes, hits != 0)) {
+      const int mine = min(__popc(hits), 3);
+      const unsigned ones = __ballot_sync(kAllLanes, (mine & 1) != 0);
+      const unsigned twos = __ballot_sync(kAllLanes, (mine & 2) != 0);
+      const int at = overlaps_ + __popc(ones & lanes_before) + 2 * __popc(twos & lanes_before);
+#pragma unroll
+      for (int k = 0; k < 3; ++k) {
+        if (k < mine) {
+          queues_.overlapping[at + k] = {i, queues_.place[first + __ffs(static_cast<int>(hits)) - 1]};
+          hits &= hits - 1u;
+        }
+      }
+      __syncwarp();
+      overlaps_ += __popc(ones) + 2 * __popc(twos);
+      examine_full_batches();
     }
   }
 
@@ -343,6 +366,14 @@ class Narrow {
   }
 
  private:
+  __device__ __forceinline__ void examine_full_batches() {
+    while (overlaps_ >= 32) {
+      overlaps_ -= 32;
+      crossings_ = examine(s_, toi_, queues_.crossing, crossings_, lane_, true,
+                           take(queues_.overlapping, overlaps_, lane_));
+    }
+  }
+
   const Scratch& s_;
   float* toi_;
   Queues& queues_;
@@ -389,12 +420,19 @@ __device__ __forceinline__ void compare(const Queues& q, int first, int size, co
     hits |= some << base;
   }
   if (size < 32) hits &= (1u << size) - 1u;
-  if (!walks) hits = 0;
-  while (__any_sync(kAllLanes, hits != 0)) {
-    const int j = hits != 0 ? q.place[first + __ffs(static_cast<int>(hits)) - 1] : -1;
-    hits &= hits - 1u;
-    narrow.add(j > i, i, j);  // pairs are met once, from the lower place
+  // Pairs are met once, from the lower place. Candidates stand in the order of their places; only the first
+  // ones may come from the warp's own.
+  if (__any_sync(kAllLanes, walks && q.place[first] <= i)) {
+    int lower = 0;
+#pragma unroll
+    for (int step = 16; step > 0; step /= 2) {
+      const int at = lower + step - 1;
+      if (at < size && q.place[first + at] <= i) lower += step;
+    }
+    if (lower < size && q.place[first + lower] <= i) ++lower;
+    hits = lower < 32 ? hits & (0xffffffffu << lower) : 0;
   }
+  narrow.add_all(walks ? hits : 0u, i, first);
   __syncwarp();
 }
 
