@@ -58,7 +58,11 @@ struct Policy {
 #endif
   static constexpr int edge_blocks = 132 * 8;  // at most, each thread then takes several edges
   static constexpr int large_chunk = 1024;     // candidates of a large box that a warp takes at a time
-  static constexpr int resident_warps = 24;    // of `impacts` on an SM: 80 registers a thread
+#ifdef GPUPHYS_CCD_EE_RESIDENT_WARPS
+  static constexpr int resident_warps = GPUPHYS_CCD_EE_RESIDENT_WARPS;
+#else
+  static constexpr int resident_warps = 24;  // of `impacts` on an SM: 80 registers a thread
+#endif
   static constexpr int impact_threads = 32 * warps;
   // Of 32 places, that a warp takes on average: more leave fewer partial batches, fewer fill the SMs evenly.
   static constexpr int tiles_of_warp = 4;
@@ -334,6 +338,7 @@ class Narrow {
   // that may be left.
   __device__ __forceinline__ void add_all(unsigned hits, int i, int first) {
     const unsigned lanes_before = (1u << lane_) - 1u;
+#pragma unroll 1
     while (__any_sync(kAllLanes, hits != 0)) {
       const int mine = min(__popc(hits), 3);
       const unsigned ones = __ballot_sync(kAllLanes, (mine & 1) != 0);
@@ -367,6 +372,7 @@ class Narrow {
 
  private:
   __device__ __forceinline__ void examine_full_batches() {
+#pragma unroll 1
     while (overlaps_ >= 32) {
       overlaps_ -= 32;
       crossings_ = examine(s_, toi_, queues_.crossing, crossings_, lane_, true,
