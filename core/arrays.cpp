@@ -128,20 +128,6 @@ void HostArray::require(DType wanted) const {
   }
 }
 
-double HostArray::value(std::int64_t i) const {
-  switch (dtype_) {
-    case DType::f32:
-      return static_cast<double>(reinterpret_cast<const float*>(data_.get())[i]);
-    case DType::f64:
-      return reinterpret_cast<const double*>(data_.get())[i];
-    case DType::i32:
-      return static_cast<double>(reinterpret_cast<const std::int32_t*>(data_.get())[i]);
-    case DType::boolean:
-      return static_cast<double>(std::to_integer<int>(data_.get()[i]));
-  }
-  return 0;
-}
-
 HostArray HostArray::clone() const {
   HostArray copy(name_, dtype_, shape_, unit_);
   std::memcpy(copy.data(), data(), bytes());

@@ -120,7 +120,21 @@ struct AbiProblem {
 gpuphys_array abi_array(const HostArray&, void* data);
 AbiProblem abi_problem(const Problem&, const Arrays& outputs, bool with_data);
 
-// ---- implementation of the templates ----
+// ---- implementation of templates, and of what inner loops call ----
+
+inline double HostArray::value(std::int64_t i) const {
+  switch (dtype_) {
+    case DType::f32:
+      return static_cast<double>(reinterpret_cast<const float*>(data_.get())[i]);
+    case DType::f64:
+      return reinterpret_cast<const double*>(data_.get())[i];
+    case DType::i32:
+      return static_cast<double>(reinterpret_cast<const std::int32_t*>(data_.get())[i]);
+    case DType::boolean:
+      return static_cast<double>(std::to_integer<int>(data_.get()[i]));
+  }
+  return 0;
+}
 
 template <class Inputs>
 Inputs bind_inputs(const Problem& p) {

@@ -4,6 +4,9 @@
 
 #include <cmath>
 #include <limits>
+#include <vector>
+
+#include "core/parallel.hpp"
 
 namespace gpuphys {
 namespace {
@@ -25,16 +28,21 @@ double rounded(const HostArray& truth, std::int64_t i) {
 // Sum of squares over blocks, so that 10^8 terms lose no digits that matter.
 template <class F>
 double sum_of_squares(std::int64_t n, F&& value) {
-  double total = 0;
-  for (std::int64_t begin = 0; begin < n; begin += 4096) {
-    double block = 0;
-    const std::int64_t end = std::min<std::int64_t>(n, begin + 4096);
-    for (std::int64_t i = begin; i < end; ++i) {
-      const double v = value(i);
-      block += v * v;
+  std::vector<double> sums(static_cast<std::size_t>(pieces_of(n)), 0.0);
+  parallel_pieces(n, [&](std::int64_t piece, std::int64_t from, std::int64_t to) {
+    double& sum = sums[static_cast<std::size_t>(piece)];
+    for (std::int64_t begin = from; begin < to; begin += 4096) {
+      double block = 0;
+      const std::int64_t end = std::min<std::int64_t>(to, begin + 4096);
+      for (std::int64_t i = begin; i < end; ++i) {
+        const double v = value(i);
+        block += v * v;
+      }
+      sum += block;
     }
-    total += block;
-  }
+  });
+  double total = 0;
+  for (const double sum : sums) total += sum;
   return total;
 }
 
@@ -80,15 +88,28 @@ Measured max_error_over_rms(const HostArray& got, const HostArray& truth) {
   const double square = sum_of_squares(got.size(), [&](std::int64_t i) { return rounded(truth, i); });
   double rms = std::sqrt(square / static_cast<double>(got.size()));
   if (rms == 0) rms = 1;
+  struct Worst {
+    double error = -1;
+    std::int64_t at = 0;
+  };
+  std::vector<Worst> found(static_cast<std::size_t>(pieces_of(got.size())));
+  parallel_pieces(got.size(), [&](std::int64_t piece, std::int64_t begin, std::int64_t end) {
+    Worst& here = found[static_cast<std::size_t>(piece)];
+    for (std::int64_t i = begin; i < end; ++i) {
+      const double e = std::abs(got.value(i) - rounded(truth, i));
+      if (!(e <= here.error)) {  // true for NaN as well
+        here = {e, i};
+        if (!std::isfinite(e)) break;
+      }
+    }
+  });
   double worst = -1;
   std::int64_t at = 0;
-  for (std::int64_t i = 0; i < got.size(); ++i) {
-    const double e = std::abs(got.value(i) - rounded(truth, i));
-    if (!(e <= worst)) {  // true for NaN as well
-      worst = e;
-      at = i;
-      if (!std::isfinite(e)) break;
-    }
+  for (const Worst& here : found) {
+    if (here.error <= worst) continue;
+    worst = here.error;
+    at = here.at;
+    if (!std::isfinite(worst)) break;
   }
   return {worst / rms, fmt::format("worst at {}: got {:.9g}, expected {:.9g}", index_text(got, at),
                                    got.value(at), rounded(truth, at))};

@@ -3,6 +3,7 @@
 #include <dlfcn.h>
 #include <fmt/format.h>
 
+#include <atomic>
 #include <chrono>
 #include <cmath>
 #include <cstdio>
@@ -10,6 +11,7 @@
 #include <filesystem>
 
 #include "core/guarded_call.hpp"
+#include "core/parallel.hpp"
 
 namespace gpuphys {
 namespace {
@@ -46,13 +48,18 @@ class GuardedBuffer {
 
 template <class T>
 std::int64_t count_equal(const HostArray& a, T pattern) {
-  std::int64_t n = 0;
-  for (std::int64_t i = 0; i < a.size(); ++i) {
-    T v;
-    std::memcpy(&v, static_cast<const char*>(a.data()) + static_cast<std::size_t>(i) * sizeof(T), sizeof(T));
-    n += v == pattern;
-  }
-  return n;
+  std::atomic<std::int64_t> total = 0;
+  parallel_pieces(a.size(), [&](std::int64_t, std::int64_t begin, std::int64_t end) {
+    std::int64_t n = 0;
+    for (std::int64_t i = begin; i < end; ++i) {
+      T v;
+      std::memcpy(&v, static_cast<const char*>(a.data()) + static_cast<std::size_t>(i) * sizeof(T),
+                  sizeof(T));
+      n += v == pattern;
+    }
+    total += n;
+  });
+  return total;
 }
 
 template <class T>
@@ -229,12 +236,22 @@ void inspect_outputs(CallReport& report) {
       continue;
     }
     if (a.dtype() != DType::f32 && a.dtype() != DType::f64) continue;
-    std::int64_t n = 0, first = -1;
-    for (std::int64_t i = 0; i < a.size(); ++i) {
-      if (!std::isfinite(a.value(i))) {
-        if (first < 0) first = i;
-        ++n;
+    struct Bad {
+      std::int64_t n = 0, first = -1;
+    };
+    std::vector<Bad> found(static_cast<std::size_t>(pieces_of(a.size())));
+    parallel_pieces(a.size(), [&](std::int64_t piece, std::int64_t begin, std::int64_t end) {
+      Bad& here = found[static_cast<std::size_t>(piece)];
+      for (std::int64_t i = begin; i < end; ++i) {
+        if (std::isfinite(a.value(i))) continue;
+        if (here.first < 0) here.first = i;
+        ++here.n;
       }
+    });
+    std::int64_t n = 0, first = -1;
+    for (const Bad& here : found) {
+      n += here.n;
+      if (first < 0) first = here.first;
     }
     if (n > 0) {
       report.faults.push_back(

@@ -36,4 +36,17 @@ void parallel_for(std::int64_t n, Body&& body) {
   }
 }
 
+/// Calls body(piece, begin, end) for consecutive pieces of [0, n) of a fixed size, so that what is combined
+/// from the pieces in their order does not depend on the number of threads. `kPieceSize` elements a piece.
+inline constexpr std::int64_t kPieceSize = 1 << 20;
+inline std::int64_t pieces_of(std::int64_t n) {
+  return (n + kPieceSize - 1) / kPieceSize;
+}
+template <class Body>
+void parallel_pieces(std::int64_t n, Body&& body) {
+  parallel_for(pieces_of(n), [&](std::int64_t piece) {
+    body(piece, piece * kPieceSize, std::min(n, (piece + 1) * kPieceSize));
+  });
+}
+
 }  // namespace gpuphys
