@@ -49,11 +49,13 @@ struct Policy {
   static constexpr int count_per_thread = 4;  // independent atomics in flight
   static constexpr int plan_threads = 256;
 #ifdef GPUPHYS_OTHER_BLOCKS
-  static constexpr int place_threads = 128;
+  static constexpr int place_threads = 256;
+  static constexpr int place_blocks_per_sm = 4;
   static constexpr int piece = 320;
   static constexpr int scatter_blocks_per_sm = 3;
 #else
-  static constexpr int place_threads = 256;
+  static constexpr int place_threads = 128;
+  static constexpr int place_blocks_per_sm = 9;  // 36 warps in 56 registers; ten blocks spill
   static constexpr int piece =
       576;  // particles of a tile that a block takes: eight a cell, and room for chance
   static constexpr int scatter_blocks_per_sm = 4;
@@ -97,17 +99,24 @@ __device__ __forceinline__ void load_rows(const float* __restrict__ rows, std::i
   }
 }
 
+// The rows to shared memory: the lane's own begins at stage[lane * Width], from the next __syncwarp() on.
+template <int Width>
+__device__ __forceinline__ void stage_rows(float* __restrict__ stage, const float (&in_flight)[Width]) {
+  const int lane = static_cast<int>(threadIdx.x) % 32;
+#pragma unroll
+  for (int s = 0; s < Width; ++s) stage[s * 32 + lane] = in_flight[s];
+}
+
 template <int Width>
 __device__ __forceinline__ void transpose_rows(float* __restrict__ stage, float (&values)[Width]) {
   const int lane = static_cast<int>(threadIdx.x) % 32;
-#pragma unroll
-  for (int s = 0; s < Width; ++s) stage[s * 32 + lane] = values[s];
+  stage_rows(stage, values);
   __syncwarp();
 #pragma unroll
   for (int s = 0; s < Width; ++s) values[s] = stage[lane * Width + s];
 }
 
-__global__ void __launch_bounds__(Policy::place_threads)
+__global__ void __launch_bounds__(Policy::place_threads, Policy::place_blocks_per_sm)
     place(const __grid_constant__ TileGrid grid, const __grid_constant__ Particles particles, Moduli moduli,
           int* __restrict__ next, float4* __restrict__ records) {
   constexpr int per_warp = 32 * (3 + 3 + 9);
@@ -123,20 +132,29 @@ __global__ void __launch_bounds__(Policy::place_threads)
   load_rows(particles.f, first, particles.n, f);
   transpose_rows(stage, x);
   const particle_grid::Place at = particle_grid::locate(grid, x[0], x[1], x[2]);
-  const int slot = particle_grid::take_slot(next, at, p, particles.n);
-  transpose_rows(stage + 32 * 3, v);
+  const int tile = particle_grid::listed_tile(at, p, particles.n);
+  // Nothing waits for the answer until the record is written: the stress hides it.
+  const int slot = tile >= 0 ? atomicAdd(next + tile, 1) : -1;
+  // What the stress does not need waits in the lane's own rows: registers decide how many warps are resident.
+#pragma unroll
+  for (int d = 0; d < 3; ++d) stage[lane * 3 + d] = at.offset[d];
+  stage_rows(stage + 32 * 3, v);
   transpose_rows(stage + 32 * 6, f);
+  const polar::Matrix3 deformation{{{f[0], f[1], f[2]}, {f[3], f[4], f[5]}, {f[6], f[7], f[8]}}};
+  elasticity::SymmetricMatrix tau{};
+  if (tile >= 0) tau = elasticity::fixed_corotated(deformation, moduli.two_mu, moduli.lambda);
+  float kept[6];  // offset, v
+#pragma unroll
+  for (int d = 0; d < 3; ++d) {
+    kept[d] = stage[lane * 3 + d];
+    kept[3 + d] = stage[(32 + lane) * 3 + d];
+  }
   __syncwarp();  // the rows are read: their memory takes the records
 
   float4* packed = reinterpret_cast<float4*>(stage);
-  if (slot >= 0) {
-    const polar::Matrix3 deformation{{{f[0], f[1], f[2]}, {f[3], f[4], f[5]}, {f[6], f[7], f[8]}}};
-    const elasticity::SymmetricMatrix tau =
-        elasticity::fixed_corotated(deformation, moduli.two_mu, moduli.lambda);
-    packed[kRecord * lane] = make_float4(at.offset[0], at.offset[1], at.offset[2], v[0]);
-    packed[kRecord * lane + 1] = make_float4(v[1], v[2], tau.xx, tau.yy);
-    packed[kRecord * lane + 2] = make_float4(tau.zz, tau.xy, tau.xz, tau.yz);
-  }
+  packed[kRecord * lane] = make_float4(kept[0], kept[1], kept[2], kept[3]);
+  packed[kRecord * lane + 1] = make_float4(kept[4], kept[5], tau.xx, tau.yy);
+  packed[kRecord * lane + 2] = make_float4(tau.zz, tau.xy, tau.xz, tau.yz);
   __syncwarp();
   const int part = lane % kStride;
 #pragma unroll

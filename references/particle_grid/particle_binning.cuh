@@ -6,10 +6,9 @@
 // 4t+1, reaches the nodes 4t-2 .. 4t+3, and node block t holds the nodes 4t-2 .. 4t+1: a tile writes to its
 // own node block and to the seven with one more along some axes.
 //
-// No sort: one pass over the particles counts them, a later one, by take_slot(), takes the slots of their
-// tiles' lists in whatever order it comes to them; and the lists lie in memory in whatever order the blocks
-// of plan_tiles() come to reserve them. Ranks returned to the first pass cost 135 MB more, and the wait for
-// them lies bare there.
+// No sort: one pass over the particles counts them, a later one takes the slots of their tiles' lists with an
+// atomic each, in whatever order it comes to them; and the lists lie in memory in whatever order the blocks
+// of plan_tiles() come to reserve them.
 #pragma once
 
 #include <cuda_runtime.h>
@@ -117,13 +116,6 @@ __global__ void __launch_bounds__(Threads)
     const int tile = listed_tile(place, p, n);
     if (tile >= 0) atomicAdd(&counts[tile], 1);
   }
-}
-
-/// A record slot for particle p of n at `place`, or -1. `next` is BinningView::next.
-__device__ __forceinline__ int take_slot(int* __restrict__ next, const Place& place, std::int64_t p,
-                                         std::int64_t n) {
-  const int tile = listed_tile(place, p, n);
-  return tile >= 0 ? atomicAdd(next + tile, 1) : -1;
 }
 
 /// A piece of a tile's list.
