@@ -19,13 +19,12 @@
 // particle's three planes, half as many again around them) and shared memory wavefronts in scatter, with
 // 1.08 GB read meanwhile; 201 MB written at the end.
 //
-// What pays: a stress is computed once a particle in a pass that waits for memory anyway; the slots are
-// asked for before it and come meanwhile. A record is two
-// whole sectors and leaves in one instruction: as three 16-byte stores at random places, records kept DRAM
-// busy with row changes (NOTES.md). The next piece's list is on its way while the present one is summed.
-// Summing in registers first leaves about 14 shared stores and 8 loads a cell instead of 864 atomics;
-// factoring the 27 weights (x outside, z inside), with the sum of three nodes in place of the middle one,
-// takes 10 multiply-adds and additions a node for all four sums.
+// What pays: a stress is computed once a particle in a pass that waits for memory anyway; the slots, asked
+// for before it, come meanwhile. A record is two whole sectors and leaves in one instruction: as three
+// 16-byte stores at random places, records kept DRAM busy with row changes (NOTES.md). The next piece's list
+// is on its way while the present one is summed. Summing in registers first leaves about 14 shared stores
+// and 8 loads a cell instead of 864 atomics; factoring the 27 weights (x outside, z inside), with the sum of
+// three nodes in place of the middle one, takes 10 multiply-adds and additions a node for all four sums.
 #include <cuda_pipeline.h>
 
 #include <algorithm>
