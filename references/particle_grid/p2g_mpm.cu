@@ -4,27 +4,27 @@
 // corotated elasticity; 0 where no mass arrives.
 //
 // Passes over data in random order:
-//   count      a thread for four particles: position -> tile of 4^3 cells; an atomic returns the rank there
+//   count      a thread for four particles: position -> tile of 4^3 cells; an atomic counts it there
 //   plan       a thread a tile: reserves its slots, cuts its list into pieces, clears node blocks
-//   place      a thread a particle: stress from F; the packed record {offset 3, v 3, tau 6, padding 4}
-//              goes to its slot in its tile's list, written by four lanes at once
+//   place      a thread a particle: an atomic takes a slot of its tile's list; stress from F; the packed
+//              record {offset 3, v 3, tau 6, padding 4} goes there, written by four lanes at once
 //   scatter    a block for a piece of a list: sorts it by cell in shared memory; a thread owns one cell and
 //              one of the three node planes along x and sums nine nodes' {mass, momentum} in registers;
 //              columns of cells are added up by shuffles, columns of the tile through shared memory; one
 //              vector reduction for each of the tile's 216 nodes goes out to L2
 //   normalise  a thread for four nodes: divides, writes zeros where no block reached
 //
-// What bounds it (16.86M particles): returning atomics at L2 in count, 55 G/s whatever their addresses, and
-// 0.27 GB; DRAM in place, 1.08 GB read and 1.08 GB written at random places; instructions (113 for each of a
+// What bounds it (16.86M particles): atomics at L2 in count, some 55 G/s whatever their addresses, and
+// 0.20 GB; DRAM in place, 1.01 GB read and 1.08 GB written at random places; instructions (113 for each of a
 // particle's three planes, half as many again around them) and shared memory wavefronts in scatter, with
 // 1.08 GB read meanwhile; 201 MB written at the end.
 //
-// What pays: a stress is computed once a particle in a pass that waits for memory anyway. A record is two
-// whole sectors and leaves in one instruction: as three 16-byte stores at random places, records kept DRAM
-// busy with row changes (NOTES.md). The next piece's list is on its way while the present one is summed.
-// Summing in registers first leaves about 14 shared stores and 8 loads a cell instead of 864 atomics;
-// factoring the 27 weights (x outside, z inside), with the sum of three nodes in place of the middle one,
-// takes 10 multiply-adds and additions a node for all four sums.
+// What pays: a stress is computed once a particle in a pass that waits for memory anyway; the slots, asked
+// for before it, come meanwhile. A record is two whole sectors and leaves in one instruction: as three
+// 16-byte stores at random places, records kept DRAM busy with row changes (NOTES.md). The next piece's list
+// is on its way while the present one is summed. Summing in registers first leaves about 14 shared stores
+// and 8 loads a cell instead of 864 atomics; factoring the 27 weights (x outside, z inside), with the sum of
+// three nodes in place of the middle one, takes 10 multiply-adds and additions a node for all four sums.
 #include <cuda_pipeline.h>
 
 #include <algorithm>
@@ -47,19 +47,14 @@ struct Policy {
   static constexpr int count_threads = 256;
   static constexpr int count_per_thread = 4;  // independent atomics in flight
   static constexpr int plan_threads = 256;
-  // Where the atomics that give particles their ranks wait: in count, which writes them to memory, or in
-  // place, which then finds slots for itself.
-#ifdef GPUPHYS_P2G_RANKS_IN_PLACE
-  static constexpr bool ranks_in_count = false;
-#else
-  static constexpr bool ranks_in_count = true;
-#endif
 #ifdef GPUPHYS_OTHER_BLOCKS
-  static constexpr int place_threads = 128;
+  static constexpr int place_threads = 256;
+  static constexpr int place_blocks_per_sm = 4;
   static constexpr int piece = 320;
   static constexpr int scatter_blocks_per_sm = 3;
 #else
-  static constexpr int place_threads = 256;
+  static constexpr int place_threads = 128;
+  static constexpr int place_blocks_per_sm = 9;  // 36 warps in 56 registers; ten blocks spill
   static constexpr int piece =
       576;  // particles of a tile that a block takes: eight a cell, and room for chance
   static constexpr int scatter_blocks_per_sm = 4;
@@ -103,19 +98,26 @@ __device__ __forceinline__ void load_rows(const float* __restrict__ rows, std::i
   }
 }
 
+// The rows to shared memory: the lane's own begins at stage[lane * Width], from the next __syncwarp() on.
+template <int Width>
+__device__ __forceinline__ void stage_rows(float* __restrict__ stage, const float (&in_flight)[Width]) {
+  const int lane = static_cast<int>(threadIdx.x) % 32;
+#pragma unroll
+  for (int s = 0; s < Width; ++s) stage[s * 32 + lane] = in_flight[s];
+}
+
 template <int Width>
 __device__ __forceinline__ void transpose_rows(float* __restrict__ stage, float (&values)[Width]) {
   const int lane = static_cast<int>(threadIdx.x) % 32;
-#pragma unroll
-  for (int s = 0; s < Width; ++s) stage[s * 32 + lane] = values[s];
+  stage_rows(stage, values);
   __syncwarp();
 #pragma unroll
   for (int s = 0; s < Width; ++s) values[s] = stage[lane * Width + s];
 }
 
-__global__ void __launch_bounds__(Policy::place_threads)
+__global__ void __launch_bounds__(Policy::place_threads, Policy::place_blocks_per_sm)
     place(const __grid_constant__ TileGrid grid, const __grid_constant__ Particles particles, Moduli moduli,
-          int* __restrict__ starts, const int* __restrict__ ranks, float4* __restrict__ records) {
+          int* __restrict__ next, float4* __restrict__ records) {
   constexpr int per_warp = 32 * (3 + 3 + 9);
   constexpr int per_store = 32 / kStride;  // records that a warp writes at once
   __shared__ __align__(16) float staging[Policy::place_threads / 32][per_warp];
@@ -127,26 +129,31 @@ __global__ void __launch_bounds__(Policy::place_threads)
   load_rows(particles.x, first, particles.n, x);
   load_rows(particles.v, first, particles.n, v);
   load_rows(particles.f, first, particles.n, f);
-  int rank = p < particles.n ? 0 : -1;
-  if (Policy::ranks_in_count && rank == 0) rank = ranks[p];
   transpose_rows(stage, x);
   const particle_grid::Place at = particle_grid::locate(grid, x[0], x[1], x[2]);
-  int slot = -1;
-  if (rank >= 0 && at.tile >= 0)
-    slot = Policy::ranks_in_count ? starts[at.tile] + rank : atomicAdd(starts + at.tile, 1);
-  transpose_rows(stage + 32 * 3, v);
+  const int tile = particle_grid::listed_tile(at, p, particles.n);
+  // Nothing waits for the answer until the record is written: the stress hides it.
+  const int slot = tile >= 0 ? atomicAdd(next + tile, 1) : -1;
+  // What the stress does not need waits in the lane's own rows: registers decide how many warps are resident.
+#pragma unroll
+  for (int d = 0; d < 3; ++d) stage[lane * 3 + d] = at.offset[d];
+  stage_rows(stage + 32 * 3, v);
   transpose_rows(stage + 32 * 6, f);
+  const polar::Matrix3 deformation{{{f[0], f[1], f[2]}, {f[3], f[4], f[5]}, {f[6], f[7], f[8]}}};
+  elasticity::SymmetricMatrix tau{};
+  if (tile >= 0) tau = elasticity::fixed_corotated(deformation, moduli.two_mu, moduli.lambda);
+  float kept[6];  // offset, v
+#pragma unroll
+  for (int d = 0; d < 3; ++d) {
+    kept[d] = stage[lane * 3 + d];
+    kept[3 + d] = stage[(32 + lane) * 3 + d];
+  }
   __syncwarp();  // the rows are read: their memory takes the records
 
   float4* packed = reinterpret_cast<float4*>(stage);
-  if (slot >= 0) {
-    const polar::Matrix3 deformation{{{f[0], f[1], f[2]}, {f[3], f[4], f[5]}, {f[6], f[7], f[8]}}};
-    const elasticity::SymmetricMatrix tau =
-        elasticity::fixed_corotated(deformation, moduli.two_mu, moduli.lambda);
-    packed[kRecord * lane] = make_float4(at.offset[0], at.offset[1], at.offset[2], v[0]);
-    packed[kRecord * lane + 1] = make_float4(v[1], v[2], tau.xx, tau.yy);
-    packed[kRecord * lane + 2] = make_float4(tau.zz, tau.xy, tau.xz, tau.yz);
-  }
+  packed[kRecord * lane] = make_float4(kept[0], kept[1], kept[2], kept[3]);
+  packed[kRecord * lane + 1] = make_float4(kept[4], kept[5], tau.xx, tau.yy);
+  packed[kRecord * lane + 2] = make_float4(tau.zz, tau.xy, tau.xz, tau.yz);
   __syncwarp();
   const int part = lane % kStride;
 #pragma unroll
@@ -449,16 +456,16 @@ class Reference {
     };
     bins_.clear();
     constexpr int per_block = Policy::count_threads * Policy::count_per_thread;
-    particle_grid::count_particles<Policy::count_threads, Policy::count_per_thread, Policy::ranks_in_count>
-        <<<blocks(n, per_block), Policy::count_threads>>>(grid, in.x.data, n, bins.counts, bins.ranks);
+    particle_grid::count_particles<Policy::count_threads, Policy::count_per_thread>
+        <<<blocks(n, per_block), Policy::count_threads>>>(grid, in.x.data, n, bins.counts);
     particle_grid::plan_tiles<Policy::plan_threads>
         <<<blocks(grid.tile_count(), Policy::plan_threads), Policy::plan_threads>>>(grid, bins, Policy::piece,
                                                                                     accumulators_.get());
     const Particles particles{in.x.data, in.v.data, in.F.data, n};
     const float impulse = -in.dt * (in.V0 / in.mass_p) / in.dx;
     const Moduli moduli{2.0f * in.mu * impulse, in.lambda * impulse};
-    place<<<blocks(n, Policy::place_threads), Policy::place_threads>>>(grid, particles, moduli, bins.starts,
-                                                                       bins.ranks, records_.get());
+    place<<<blocks(n, Policy::place_threads), Policy::place_threads>>>(grid, particles, moduli, bins.next,
+                                                                       records_.get());
     scatter<<<static_cast<unsigned>(scatter_blocks_), kScatterThreads, sizeof(ScatterShared)>>>(
         grid, bins.items, bins.cursors + 1, records_.get(), accumulators_.get());
     const std::int64_t columns = static_cast<std::int64_t>(grid.tiles[0]) * grid.nodes[1] * grid.nodes[2];

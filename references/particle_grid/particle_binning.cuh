@@ -6,8 +6,9 @@
 // 4t+1, reaches the nodes 4t-2 .. 4t+3, and node block t holds the nodes 4t-2 .. 4t+1: a tile writes to its
 // own node block and to the seven with one more along some axes.
 //
-// No sort: an atomic per particle returns its rank in its tile, and the tiles' lists lie in memory in
-// whatever order the blocks of plan_tiles() come to reserve them.
+// No sort: one pass over the particles counts them, a later one takes the slots of their tiles' lists with an
+// atomic each, in whatever order it comes to them; and the lists lie in memory in whatever order the blocks
+// of plan_tiles() come to reserve them.
 #pragma once
 
 #include <cuda_runtime.h>
@@ -89,12 +90,17 @@ __device__ __forceinline__ void reduce_add(float4* sum, const float4& value) {
                : "memory");
 }
 
-/// counts[tile] += 1 for each particle; its rank among the tile's, or -1, goes to ranks if Ranks says so.
-/// counts must be zero.
-template <int Threads, int PerThread, bool Ranks>
+/// The tile in whose list particle p of n at `place` gets a slot, or -1. Both passes over the particles ask
+/// this: a list has as many slots as the first pass counted.
+__device__ __forceinline__ int listed_tile(const Place& place, std::int64_t p, std::int64_t n) {
+  return p < n ? place.tile : -1;
+}
+
+/// counts[tile] += 1 for each particle. counts must be zero.
+template <int Threads, int PerThread>
 __global__ void __launch_bounds__(Threads)
     count_particles(const __grid_constant__ TileGrid grid, const float* __restrict__ x, std::int64_t n,
-                    int* __restrict__ counts, int* __restrict__ ranks) {
+                    int* __restrict__ counts) {
   const std::int64_t first = static_cast<std::int64_t>(blockIdx.x) * (Threads * PerThread) + threadIdx.x;
   float position[PerThread][3];
 #pragma unroll
@@ -103,19 +109,12 @@ __global__ void __launch_bounds__(Threads)
 #pragma unroll
     for (int d = 0; d < 3; ++d) position[s][d] = p < n ? x[3 * p + d] : 0.0f;
   }
-  int rank[PerThread];
 #pragma unroll
   for (int s = 0; s < PerThread; ++s) {
     const std::int64_t p = first + s * Threads;
-    const int tile = locate(grid, position[s][0], position[s][1], position[s][2]).tile;
-    rank[s] = p < n && tile >= 0 ? atomicAdd(&counts[tile], 1) : -1;
-  }
-  if constexpr (Ranks) {
-#pragma unroll
-    for (int s = 0; s < PerThread; ++s) {
-      const std::int64_t p = first + s * Threads;
-      if (p < n) ranks[p] = rank[s];
-    }
+    const Place place = locate(grid, position[s][0], position[s][1], position[s][2]);
+    const int tile = listed_tile(place, p, n);
+    if (tile >= 0) atomicAdd(&counts[tile], 1);
   }
 }
 
@@ -129,9 +128,8 @@ struct alignas(16) WorkItem {
 struct BinningView {
   int* counts;             ///< particles of each tile
   int* cursors;            ///< [0] records reserved, [1] work items; lie behind counts, cleared with them
-  int* starts;             ///< first record slot of each tile
+  int* next;               ///< next free record slot of each tile
   unsigned char* touched;  ///< node blocks that some particle reaches
-  int* ranks;
   WorkItem* items;
 };
 
@@ -179,7 +177,7 @@ __global__ void __launch_bounds__(Threads)
     const unsigned long long place = before + sum - own;
     const int start = reserved[0] + static_cast<int>(place & 0xffffffffu);
     const int first_item = reserved[1] + static_cast<int>(place >> 32);
-    bins.starts[tile] = start;
+    bins.next[tile] = start;
     // Pieces of equal length within one: no block is left with a stub.
     const int length = count / pieces, longer = count % pieces;
     int first = start;
@@ -212,9 +210,8 @@ class Binning {
   Binning() = default;
   Binning(const TileGrid& grid, std::int64_t n, int piece)
       : counts_(static_cast<std::size_t>(grid.tile_count()) + 2),
-        starts_(static_cast<std::size_t>(grid.tile_count())),
+        next_(static_cast<std::size_t>(grid.tile_count())),
         touched_(static_cast<std::size_t>(grid.tile_count())),
-        ranks_(static_cast<std::size_t>(n)),
         // Full pieces, and at most one more for each tile that has particles.
         items_(static_cast<std::size_t>(n / piece + (n < grid.tile_count() ? n : grid.tile_count()) + 1)) {
     if (n >= 2147483648ll) throw std::runtime_error("at most 2^31 - 1 particles");
@@ -222,16 +219,13 @@ class Binning {
     cursors_ = counts_.get() + grid.tile_count();
   }
 
-  BinningView view() const {
-    return {counts_.get(), cursors_, starts_.get(), touched_.get(), ranks_.get(), items_.get()};
-  }
+  BinningView view() const { return {counts_.get(), cursors_, next_.get(), touched_.get(), items_.get()}; }
 
   void clear() const { GPUPHYS_CUDA(cudaMemsetAsync(counts_.get(), 0, counts_bytes_)); }
 
  private:
-  DeviceBuffer<int> counts_, starts_;
+  DeviceBuffer<int> counts_, next_;
   DeviceBuffer<unsigned char> touched_;
-  DeviceBuffer<int> ranks_;
   DeviceBuffer<WorkItem> items_;
   std::size_t counts_bytes_ = 0;
   int* cursors_ = nullptr;
