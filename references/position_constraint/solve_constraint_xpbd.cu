@@ -36,8 +36,10 @@ struct Policy {
   static constexpr int unroll = 2;
   static constexpr int blocks = 100;
   static constexpr int count_threads = 256;
+  static constexpr int split_merged = 4;
   static constexpr int split_threads = 256;
   static constexpr int split_items = 4;
+  static constexpr bool wide_records = true;
   static constexpr int bin_shift = 9;
   static constexpr int sort_threads = 512;
   static constexpr int sort_capacity = 6000;
@@ -47,9 +49,11 @@ struct Policy {
   static constexpr int unroll = 3;    // and all of them are in flight at once
   static constexpr int blocks = 264;  // that sort a share of the springs: two a multiprocessor
   static constexpr int count_threads = 1024;
-  static constexpr int split_threads = 512;
-  static constexpr int split_items = 8;  // 8192 half-springs sorted in 96 KB of shared memory
-  static constexpr int bin_shift = 10;   // 1024 particles a bin, about 12 thousand half-springs
+  static constexpr int split_merged = 2;
+  static constexpr int split_threads = 1024;
+  static constexpr int split_items = 8;  // 16384 half-springs sorted in 160 KB of shared memory
+  static constexpr bool wide_records = false;
+  static constexpr int bin_shift = 10;  // 1024 particles a bin, about 12 thousand half-springs
   static constexpr int sort_threads = 1024;
   static constexpr int sort_capacity = 13312;  // half-springs, 104 KB: two blocks a multiprocessor
 #endif
