@@ -11,11 +11,12 @@
 //
 // What bounds it (predictions, n = 1.05 million, m = 6.28 million, 12.56 million half-springs): an iteration
 // streams 8 + 4 + 4 bytes a half-spring and 32 + 32 bytes a particle, 268 MB, 0.063 ms; and the L1 looks up a
-// line for each random particle, about 0.06 ms. Sorting moves 525 MB and gathers 12.56 million numbers, 0.25
-// ms. What pays: the sector-sized particle (position, inverse mass, displacement and valence of a neighbour
-// in one access), fetched by two lanes together, which halves the look-ups; whole sectors stored; the Morton
+// line for each random particle, about 0.06 ms. Sorting moves 477 MB and gathers 12.56 million numbers, 0.3
+// ms. Measured by ncu on an H100 (3.0 TB/s): 262 MB and 0.09-0.107 ms an iteration, device memory 70-76 %.
+// What pays: the sector-sized particle (position, inverse mass, displacement and valence of a neighbour in
+// one access), fetched by two lanes together, which halves the look-ups; whole sectors stored; the Morton
 // curve, so that most neighbours are in the L1 or the L2; and multisplits in shared memory in place of random
-// stores.
+// stores, with runs of whole records, in one array, long against a sector.
 #include "cases/position_constraint/solve_constraint_xpbd.hpp"
 
 #include <climits>
@@ -36,8 +37,10 @@ struct Policy {
   static constexpr int unroll = 2;
   static constexpr int blocks = 100;
   static constexpr int count_threads = 256;
+  static constexpr int split_merged = 4;
   static constexpr int split_threads = 256;
   static constexpr int split_items = 4;
+  static constexpr bool wide_records = true;
   static constexpr int bin_shift = 9;
   static constexpr int sort_threads = 512;
   static constexpr int sort_capacity = 6000;
@@ -47,9 +50,11 @@ struct Policy {
   static constexpr int unroll = 3;    // and all of them are in flight at once
   static constexpr int blocks = 264;  // that sort a share of the springs: two a multiprocessor
   static constexpr int count_threads = 1024;
-  static constexpr int split_threads = 512;
-  static constexpr int split_items = 8;  // 8192 half-springs sorted in 96 KB of shared memory
-  static constexpr int bin_shift = 10;   // 1024 particles a bin, about 12 thousand half-springs
+  static constexpr int split_merged = 2;
+  static constexpr int split_threads = 1024;
+  static constexpr int split_items = 8;  // 16384 half-springs sorted in 160 KB of shared memory
+  static constexpr bool wide_records = false;
+  static constexpr int bin_shift = 10;  // 1024 particles a bin, about 12 thousand half-springs
   static constexpr int sort_threads = 1024;
   static constexpr int sort_capacity = 13312;  // half-springs, 104 KB: two blocks a multiprocessor
 #endif

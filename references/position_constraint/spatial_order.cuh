@@ -14,7 +14,7 @@
 
 namespace gpuphys::spatial {
 
-constexpr int kKeyBits = 24;
+constexpr int kKeyBits = 24, kKeyBytes = kKeyBits / 8;
 constexpr int kGridBlocks = 264;  // two a multiprocessor of an H200
 constexpr int kGridThreads = 1024;
 
@@ -61,14 +61,21 @@ __global__ void __launch_bounds__(kGridThreads)
     atomicMax(bounds->high + threadIdx.x - 3, block_bounds[threadIdx.x]);
 }
 
-/// Morton code of every particle's cell, and the numbers 0..n-1.
+/// Morton code of every particle's cell, and the numbers 0..n-1. The bits of a place are spread by a table, a
+/// byte at a time.
 __global__ void __launch_bounds__(kGridThreads)
     make_keys(const float* __restrict__ x, int n, const Bounds* __restrict__ bounds,
               std::uint32_t* __restrict__ key, std::uint32_t* __restrict__ index) {
   __shared__ float low[3], scale[3];
-  __shared__ int axis[kKeyBits];  // which side is halved
-  if (threadIdx.x == 0) {
+  __shared__ int step_of[3 * kKeyBits];  // [side][how often halved before]: the step that halves it; or -1
+  __shared__ std::uint32_t
+      spread[3 * kKeyBytes * 256];  // [side][byte of the place][its value]: bits of the code
+  const int tid = static_cast<int>(threadIdx.x);
+  if (tid < 3 * kKeyBits) step_of[tid] = -1;
+  __syncthreads();
+  if (tid == 0) {
     float extent[3];
+    int halved[3] = {0, 0, 0};
 #pragma unroll
     for (int d = 0; d < 3; ++d) {
       low[d] = decode(~bounds->low_complement[d]);
@@ -77,27 +84,36 @@ __global__ void __launch_bounds__(kGridThreads)
     }
     for (int s = 0; s < kKeyBits; ++s) {
       const int d = extent[0] >= extent[1] && extent[0] >= extent[2] ? 0 : extent[1] >= extent[2] ? 1 : 2;
-      axis[s] = d;
 #pragma unroll
-      for (int a = 0; a < 3; ++a) extent[a] *= a == d ? 0.5f : 1.0f;
+      for (int a = 0; a < 3; ++a) {
+        if (a != d) continue;
+        step_of[a * kKeyBits + halved[a]++] = s;
+        extent[a] *= 0.5f;
+      }
     }
+  }
+  __syncthreads();
+  for (int entry = tid; entry < 3 * kKeyBytes * 256; entry += static_cast<int>(blockDim.x)) {
+    const int* const steps = step_of + entry / 256 * 8;  // of the eight bits of this byte
+    std::uint32_t bits = 0;
+#pragma unroll
+    for (int b = 0; b < 8; ++b) {
+      if (steps[b] >= 0 && (entry >> (7 - b) & 1)) bits |= 1u << (kKeyBits - 1 - steps[b]);
+    }
+    spread[entry] = bits;
   }
   __syncthreads();
   const int stride = static_cast<int>(gridDim.x * blockDim.x);
   for (int i = static_cast<int>(blockIdx.x * blockDim.x + threadIdx.x); i < n; i += stride) {
-    std::uint32_t place[3];  // in units of 2^-24 of the side
+    std::uint32_t code = 0;
 #pragma unroll
     for (int d = 0; d < 3; ++d) {
       const float f = fminf((x[3 * i + d] - low[d]) * scale[d], static_cast<float>((1 << kKeyBits) - 1));
-      place[d] = static_cast<std::uint32_t>(f);
-    }
-    std::uint32_t code = 0;
+      const auto place = static_cast<std::uint32_t>(f);  // in units of 2^-24 of the side
 #pragma unroll
-    for (int s = 0; s < kKeyBits; ++s) {
-      const int d = axis[s];
-      code = code << 1 | ((d == 0 ? place[0] : d == 1 ? place[1] : place[2]) >> (kKeyBits - 1) & 1u);
-#pragma unroll
-      for (int a = 0; a < 3; ++a) place[a] <<= a == d ? 1 : 0;
+      for (int byte = 0; byte < kKeyBytes; ++byte) {
+        code |= spread[(d * kKeyBytes + byte) * 256 + (place >> (kKeyBits - 8 - 8 * byte) & 255u)];
+      }
     }
     key[i] = code;
     index[i] = static_cast<std::uint32_t>(i);

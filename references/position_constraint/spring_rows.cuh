@@ -4,11 +4,13 @@
 // Particles are renumbered by the caller (spatial_order.cuh). A bin is 2^shift consecutive numbers. Three
 // passes over the springs: (1) every block renumbers the ends of its share and counts them by bin in shared
 // memory; a scan of the [bin][block] matrix gives each block its place in every bin; (2) every block sorts
-// its share by bin, a chunk at a time in shared memory, so that stores are runs of neighbours; (3) one block
-// a bin counts, scans and sorts by particle in shared memory, and writes its rows whole. A bin that shared
-// memory does not hold (a particle with very many springs) is written in place, which is slower.
+// its share by bin, a chunk at a time in shared memory, so that stores are runs of neighbours (the longer the
+// better: both ends of a run are parts of sectors, which the L2 must complete from device memory unless the
+// next run comes in time); (3) one block a bin counts, scans and sorts by particle in shared memory, and
+// writes its rows whole. A bin that shared memory does not hold (a particle with very many springs) is
+// written in place, which is slower.
 //
-// What bounds it, bytes a spring of device memory: 8 in and 8 out in pass 1, 12 and 20 in pass 2, 20 and 16
+// What bounds it, bytes a spring of device memory: 8 in and 8 out in pass 1, 12 and 16 in pass 2, 16 and 16
 // in pass 3, and in pass 1 two random 4-byte numbers out of the L2.
 #pragma once
 
@@ -34,6 +36,51 @@ struct __align__(8) HalfSpring {
 
 constexpr int kMaxBins = 2048;
 constexpr int kMaxShift = 13;  // counters of a bin take 32 KB of shared memory
+
+/// A half-spring on its way to its row: in the order of bins, with its particle's place in the bin. One
+/// aligned vector: a second array of two-byte places would be written in parts of sectors.
+struct __align__(8) NarrowRecord {
+  static constexpr int kOtherBits = 22, kPlaceBits = 32 - kOtherBits;
+  std::uint32_t key;  ///< place and other end
+  float rest;         ///< m
+
+  __device__ __forceinline__ static NarrowRecord of(int place, int other, float length) {
+    return {static_cast<std::uint32_t>(place) << kOtherBits | static_cast<std::uint32_t>(other), length};
+  }
+  __device__ __forceinline__ static NarrowRecord stream(const NarrowRecord* p) {
+    const int2 v = __ldcs(reinterpret_cast<const int2*>(p));
+    return {static_cast<std::uint32_t>(v.x), __int_as_float(v.y)};
+  }
+  __device__ __forceinline__ int place() const {
+    return static_cast<int>(key >> kOtherBits);
+  }
+  __device__ __forceinline__ int other() const {
+    return static_cast<int>(key & ((1u << kOtherBits) - 1u));
+  }
+};
+static_assert(kMaxBins <= 1 << (NarrowRecord::kOtherBits - NarrowRecord::kPlaceBits),
+              "narrow records take every particle when bins are small enough");
+
+/// The same for more particles than 32 bits can name along with a place.
+struct __align__(16) WideRecord {
+  std::int32_t own_place, other_end;
+  float rest;  ///< m
+  std::int32_t unused;
+
+  __device__ __forceinline__ static WideRecord of(int place, int other, float length) {
+    return {place, other, length, 0};
+  }
+  __device__ __forceinline__ static WideRecord stream(const WideRecord* p) {
+    const int4 v = __ldcs(reinterpret_cast<const int4*>(p));
+    return {v.x, v.y, __int_as_float(v.z), v.w};
+  }
+  __device__ __forceinline__ int place() const {
+    return own_place;
+  }
+  __device__ __forceinline__ int other() const {
+    return other_end;
+  }
+};
 
 /// Sum of `value` over the threads of the block before this one. All threads call it; `warp_sum` (32) is
 /// shared, and must not be in use: a barrier lies between two calls.
@@ -93,44 +140,46 @@ __global__ void __launch_bounds__(Threads)
 }
 
 /// Shared memory of split_by_bin, bytes.
+template <class Record>
 constexpr std::size_t split_bytes(int threads, int items, int bins) {
-  return sizeof(int) * (6 * static_cast<std::size_t>(threads) * static_cast<std::size_t>(items) +
-                        3 * static_cast<std::size_t>(bins));
+  return (sizeof(Record) + sizeof(std::uint16_t)) * 2 * static_cast<std::size_t>(threads) *
+             static_cast<std::size_t>(items) +
+         3 * sizeof(int) * static_cast<std::size_t>(bins);
 }
 
-/// Pass 2: half-springs in order of bins. `start` is the scanned matrix of pass 1, with the same blocks and
-/// shares. `own` receives the place of a half-spring's particle in its bin.
-template <int Threads, int Items>
+/// Pass 2: half-springs in order of bins. `start` is the scanned matrix of pass 1, of `columns` shares; a
+/// block takes `merged` neighbouring ones. The next chunk is on its way while this one is written.
+template <class Record, int Threads, int Items>
 __global__ void __launch_bounds__(Threads)
-    split_by_bin(const int2* __restrict__ ends, const float* __restrict__ rest, int m, int share, int shift,
-                 int bins, const int* __restrict__ start, HalfSpring* __restrict__ half,
-                 std::uint16_t* __restrict__ own) {
+    split_by_bin(const int2* __restrict__ ends, const float* __restrict__ rest, int m, int share, int columns,
+                 int merged, int shift, int bins, const int* __restrict__ start, Record* __restrict__ split) {
   constexpr int chunk = Threads * Items;  // springs
   constexpr int bins_a_thread = (kMaxBins + Threads - 1) / Threads;
-  extern __shared__ int pool[];
+  extern __shared__ int4 pool[];
   __shared__ int warp_sum[32], total;
-  int* const sorted_own = pool;
-  int* const sorted_other = sorted_own + 2 * chunk;
-  float* const sorted_rest = reinterpret_cast<float*>(sorted_other + 2 * chunk);
-  int* const count = sorted_other + 4 * chunk;  // then where the bin begins in the sorted chunk
-  int* const cursor = count + bins;             // where the block's next half-spring of the bin goes
-  int* const offset = cursor + bins;            // from a place in the sorted chunk to one in `half`
-  const int tid = static_cast<int>(threadIdx.x);
-  const int blocks = static_cast<int>(gridDim.x), block = static_cast<int>(blockIdx.x);
-  for (int b = tid; b < bins; b += Threads) cursor[b] = start[b * blocks + block];
-  const int first = block * share, last = min(first + share, m);
-  for (int c = first; c < last; c += chunk) {
-    for (int b = tid; b < bins; b += Threads) count[b] = 0;
-    __syncthreads();
-    int2 e[Items];
-    float length[Items];
-    int rank[Items];  // of both ends among the chunk's half-springs of the bin, 16 bits each
+  Record* const sorted = reinterpret_cast<Record*>(pool);
+  int* const count = reinterpret_cast<int*>(sorted + 2 * chunk);  // then where the bin begins in the chunk
+  int* const cursor = count + bins;   // where the block's next half-spring of the bin goes
+  int* const offset = cursor + bins;  // from a place in the sorted chunk to one in `split`
+  std::uint16_t* const sorted_bin = reinterpret_cast<std::uint16_t*>(offset + bins);
+  const int tid = static_cast<int>(threadIdx.x), mask = (1 << shift) - 1;
+  const int block = static_cast<int>(blockIdx.x);
+  for (int b = tid; b < bins; b += Threads) {
+    cursor[b] = start[b * columns + block * merged];
+    count[b] = 0;
+  }
+  const int first = block * merged * share, last = min(first + merged * share, m);
+  int2 e[Items];
+  float length[Items];
 #pragma unroll
-    for (int u = 0; u < Items; ++u) {
-      const int j = c + u * Threads + tid;
-      e[u] = j < last ? __ldcs(ends + j) : int2{0, 0};
-      length[u] = j < last ? __ldcs(rest + j) : 0.0f;
-    }
+  for (int u = 0; u < Items; ++u) {
+    const int j = first + u * Threads + tid;
+    e[u] = j < last ? __ldcs(ends + j) : int2{0, 0};
+    length[u] = j < last ? __ldcs(rest + j) : 0.0f;
+  }
+  __syncthreads();
+  for (int c = first; c < last; c += chunk) {
+    int rank[Items];  // of both ends among the chunk's half-springs of the bin, 16 bits each
 #pragma unroll
     for (int u = 0; u < Items; ++u) {
       rank[u] = 0;
@@ -162,23 +211,25 @@ __global__ void __launch_bounds__(Threads)
 #pragma unroll
     for (int u = 0; u < Items; ++u) {
       if (e[u].x == e[u].y) continue;
-      const int at_x = count[e[u].x >> shift] + (rank[u] & 0xffff);
-      const int at_y = count[e[u].y >> shift] + (rank[u] >> 16);
-      sorted_own[at_x] = e[u].x;
-      sorted_other[at_x] = e[u].y;
-      sorted_rest[at_x] = length[u];
-      sorted_own[at_y] = e[u].y;
-      sorted_other[at_y] = e[u].x;
-      sorted_rest[at_y] = length[u];
+      const int bin_x = e[u].x >> shift, bin_y = e[u].y >> shift;
+      const int at_x = count[bin_x] + (rank[u] & 0xffff);
+      const int at_y = count[bin_y] + (rank[u] >> 16);
+      sorted[at_x] = Record::of(e[u].x & mask, e[u].y, length[u]);
+      sorted[at_y] = Record::of(e[u].y & mask, e[u].x, length[u]);
+      sorted_bin[at_x] = static_cast<std::uint16_t>(bin_x);
+      sorted_bin[at_y] = static_cast<std::uint16_t>(bin_y);
+    }
+#pragma unroll
+    for (int u = 0; u < Items; ++u) {
+      const int j = c + chunk + u * Threads + tid;
+      e[u] = j < last ? __ldcs(ends + j) : int2{0, 0};
+      length[u] = j < last ? __ldcs(rest + j) : 0.0f;
     }
     __syncthreads();
+    for (int b = tid; b < bins; b += Threads) count[b] = 0;
     const int filled = total;
-    for (int k = tid; k < filled; k += Threads) {
-      const int particle = sorted_own[k];
-      const int to = offset[particle >> shift] + k;
-      half[to] = {sorted_other[k], sorted_rest[k]};
-      own[to] = static_cast<std::uint16_t>(particle & ((1 << shift) - 1));
-    }
+    for (int k = tid; k < filled; k += Threads) split[offset[sorted_bin[k]] + k] = sorted[k];
+    __syncthreads();
   }
 }
 
@@ -190,12 +241,12 @@ constexpr std::size_t sort_bytes(int capacity, int shift) {
 /// Pass 3: block b sorts bin b by particle; row i begins at `begin[i]`. A bin of up to `Capacity`
 /// half-springs is sorted in shared memory. Then lays down the particles, at rest at their input positions:
 /// place i takes particle order[i].
-template <int Threads, int Capacity>
+template <class Record, int Threads, int Capacity>
 __global__ void __launch_bounds__(Threads)
-    sort_bin(const HalfSpring* __restrict__ split, const std::uint16_t* __restrict__ own,
-             const int* __restrict__ start, int blocks, int n, int shift, const float* __restrict__ x,
-             const float* __restrict__ inv_mass, const std::uint32_t* __restrict__ order,
-             int* __restrict__ begin, HalfSpring* __restrict__ half, Particle* __restrict__ placed) {
+    sort_bin(const Record* __restrict__ split, const int* __restrict__ start, int blocks, int n, int shift,
+             const float* __restrict__ x, const float* __restrict__ inv_mass,
+             const std::uint32_t* __restrict__ order, int* __restrict__ begin, HalfSpring* __restrict__ half,
+             Particle* __restrict__ placed) {
   constexpr int unroll = 4;
   extern __shared__ int2 room[];
   __shared__ int warp_sum[32];
@@ -211,7 +262,7 @@ __global__ void __launch_bounds__(Threads)
 #pragma unroll
     for (int u = 0; u < unroll; ++u) {
       const int k = k0 + u * Threads;
-      particle[u] = k < last ? own[k] : -1;
+      particle[u] = k < last ? split[k].place() : -1;
     }
 #pragma unroll
     for (int u = 0; u < unroll; ++u) {
@@ -239,8 +290,11 @@ __global__ void __launch_bounds__(Threads)
 #pragma unroll
     for (int u = 0; u < unroll; ++u) {
       const int k = k0 + u * Threads;
-      particle[u] = k < last ? own[k] : -1;
-      spring[u] = k < last ? __ldcs(reinterpret_cast<const int2*>(split) + k) : int2{0, 0};
+      particle[u] = -1;
+      if (k >= last) continue;
+      const Record record = Record::stream(split + k);
+      particle[u] = record.place();
+      spring[u] = int2{record.other(), __float_as_int(record.rest)};
     }
 #pragma unroll
     for (int u = 0; u < unroll; ++u) {
@@ -270,28 +324,27 @@ __global__ void __launch_bounds__(Threads)
 }
 
 /// Rows for up to `n` particles and `m` springs, in memory of its own. `Shape` gives the launches: `blocks`
-/// with a share of the springs each, `count_threads`; `split_threads` and `split_items` springs a thread;
-/// `bin_shift`, `sort_threads` and `sort_capacity` half-springs.
+/// with a share of the springs each, `count_threads`; `split_merged` shares a block of `split_threads`
+/// threads with `split_items` springs each (half as many when records are wide); `wide_records` to have them
+/// wide even where narrow ones do; `bin_shift`, `sort_threads` and `sort_capacity` half-springs.
 template <class Shape>
 class HalfSprings {
  public:
   HalfSprings() = default;
   HalfSprings(int n, int m) : n_(n), m_(m), shift_(Shape::bin_shift) {
     while (bins() > kMaxBins) ++shift_;
+    wide_ = Shape::wide_records || shift_ > NarrowRecord::kPlaceBits;
     if (shift_ > kMaxShift) throw std::runtime_error("more particles than the bins of springs hold");
     const std::size_t matrix = static_cast<std::size_t>(bins()) * Shape::blocks + 1;
     matrix_ = DeviceBuffer<int>(matrix);
     begin_ = DeviceBuffer<int>(static_cast<std::size_t>(n) + 1);
     renumbered_ = DeviceBuffer<int2>(static_cast<std::size_t>(m));
-    split_ = DeviceBuffer<HalfSpring>(2 * static_cast<std::size_t>(m));
-    own_ = DeviceBuffer<std::uint16_t>(2 * static_cast<std::size_t>(m));
+    split_ = DeviceBuffer<unsigned char>((wide_ ? sizeof(WideRecord) : sizeof(NarrowRecord)) * 2 *
+                                         static_cast<std::size_t>(m));
     half_ = DeviceBuffer<HalfSpring>(2 * static_cast<std::size_t>(m));
     scratch_bytes_ = primitives::exclusive_sum_bytes(static_cast<std::int64_t>(matrix));
     scratch_ = DeviceBuffer<unsigned char>(scratch_bytes_);
-    GPUPHYS_CUDA(cudaFuncSetAttribute(split, cudaFuncAttributeMaxDynamicSharedMemorySize,
-                                      static_cast<int>(bytes_to_split())));
-    GPUPHYS_CUDA(cudaFuncSetAttribute(sort, cudaFuncAttributeMaxDynamicSharedMemorySize,
-                                      static_cast<int>(bytes_to_sort())));
+    wide_ ? prepare<WideRecord>() : prepare<NarrowRecord>();
   }
 
   /// Sorts the springs into rows of particles renumbered by `number`, of which `order` is the inverse, and
@@ -305,30 +358,62 @@ class HalfSprings {
         ends, number, m_, share, shift_, bins(), renumbered_.get(), matrix_.get());
     primitives::exclusive_sum(scratch_.get(), scratch_bytes_, matrix_.get(), matrix_.get(),
                               static_cast<std::int64_t>(bins()) * Shape::blocks + 1);
-    split<<<blocks, Shape::split_threads, bytes_to_split()>>>(
-        renumbered_.get(), rest, m_, share, shift_, bins(), matrix_.get(), split_.get(), own_.get());
-    sort<<<static_cast<unsigned>(bins()), Shape::sort_threads, bytes_to_sort()>>>(
-        split_.get(), own_.get(), matrix_.get(), Shape::blocks, n_, shift_, x, inv_mass, order, begin_.get(),
-        half_.get(), placed);
+    if (wide_) {
+      sort<WideRecord>(rest, share, order, x, inv_mass, placed);
+    } else {
+      sort<NarrowRecord>(rest, share, order, x, inv_mass, placed);
+    }
   }
 
   const int* begin() const { return begin_.get(); }       ///< (n+1): where each row begins
   const HalfSpring* half() const { return half_.get(); }  ///< (2m)
 
  private:
-  static constexpr auto split = split_by_bin<Shape::split_threads, Shape::split_items>;
-  static constexpr auto sort = sort_bin<Shape::sort_threads, Shape::sort_capacity>;
   static_assert(2 * Shape::split_threads * Shape::split_items <= 1 << 15, "ranks take 16 bits, signed");
+  static_assert(Shape::blocks % Shape::split_merged == 0, "every share has a block that splits it");
+
+  template <class Record>
+  static constexpr int items = sizeof(Record) > 8 ? Shape::split_items / 2 : Shape::split_items;
+  template <class Record>
+  static constexpr auto split_kernel = split_by_bin<Record, Shape::split_threads, items<Record>>;
+  template <class Record>
+  static constexpr auto sort_kernel = sort_bin<Record, Shape::sort_threads, Shape::sort_capacity>;
 
   int bins() const { return ((n_ - 1) >> shift_) + 1; }
-  std::size_t bytes_to_split() const { return split_bytes(Shape::split_threads, Shape::split_items, bins()); }
   std::size_t bytes_to_sort() const { return sort_bytes(Shape::sort_capacity, shift_); }
+  template <class Record>
+  std::size_t bytes_to_split() const {
+    return split_bytes<Record>(Shape::split_threads, items<Record>, bins());
+  }
+
+  template <class Record>
+  void prepare() const {
+    GPUPHYS_CUDA(cudaFuncSetAttribute(split_kernel<Record>, cudaFuncAttributeMaxDynamicSharedMemorySize,
+                                      static_cast<int>(bytes_to_split<Record>())));
+    GPUPHYS_CUDA(cudaFuncSetAttribute(sort_kernel<Record>, cudaFuncAttributeMaxDynamicSharedMemorySize,
+                                      static_cast<int>(bytes_to_sort())));
+  }
+
+  /// Passes 2 and 3.
+  template <class Record>
+  void sort(const float* rest, int share, const std::uint32_t* order, const float* x, const float* inv_mass,
+            Particle* placed) const {
+    Record* const records = reinterpret_cast<Record*>(split_.get());
+    const auto blocks = static_cast<unsigned>(Shape::blocks / Shape::split_merged);
+    split_kernel<Record><<<blocks, Shape::split_threads, bytes_to_split<Record>()>>>(
+        renumbered_.get(), rest, m_, share, Shape::blocks, Shape::split_merged, shift_, bins(), matrix_.get(),
+        records);
+    sort_kernel<Record><<<static_cast<unsigned>(bins()), Shape::sort_threads, bytes_to_sort()>>>(
+        records, matrix_.get(), Shape::blocks, n_, shift_, x, inv_mass, order, begin_.get(), half_.get(),
+        placed);
+  }
 
   int n_ = 0, m_ = 0, shift_ = 0;
+  bool wide_ = false;
   DeviceBuffer<int> matrix_, begin_;
   DeviceBuffer<int2> renumbered_;
-  DeviceBuffer<HalfSpring> split_, half_;
-  DeviceBuffer<std::uint16_t> own_;
+  DeviceBuffer<unsigned char> split_;
+  DeviceBuffer<HalfSpring> half_;
   std::size_t scratch_bytes_ = 0;
   DeviceBuffer<unsigned char> scratch_;
 };
