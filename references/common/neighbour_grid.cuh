@@ -79,10 +79,21 @@ __device__ __forceinline__ void visit_ranges(const Grid& grid, const int* __rest
   const int x0 = cell_along(grid, 0, p.x - cutoff), x1 = cell_along(grid, 0, p.x + cutoff);
   const int y0 = cell_along(grid, 1, p.y - cutoff), y1 = cell_along(grid, 1, p.y + cutoff);
   const int z0 = cell_along(grid, 2, p.z - cutoff), z1 = cell_along(grid, 2, p.z + cutoff);
+  int begin = 0, end = 0;
+  const auto fetch = [&](int x, int y) {
+    const int row = (x * grid.cells[1] + y) * grid.cells[2];
+    begin = start[row + z0];
+    end = start[row + z1 + 1];
+  };
+  fetch(x0, y0);
   for (int x = x0; x <= x1; ++x) {
     for (int y = y0; y <= y1; ++y) {
-      const int row = (x * grid.cells[1] + y) * grid.cells[2];
-      visit(start[row + z0], start[row + z1 + 1]);
+      // The next column's range is under way while this one is visited: the visit waits for memory once, not
+      // twice in a row.
+      const int first = begin, last = end;
+      const bool turn = y == y1;
+      if (!turn || x < x1) fetch(turn ? x + 1 : x, turn ? y0 : y + 1);
+      visit(first, last);
     }
   }
 }
