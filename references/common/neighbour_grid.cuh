@@ -20,6 +20,7 @@
 //   __device__ float radius(int i) const;          half the cut-off of item i with one of its own size
 //   using Record;                                  payload of an item, a whole number of 16-byte words
 //   __device__ Record record(int i) const;         of item i
+//   __device__ void placed(const Grid&, int i, int slot, const Record&) const;   told where item i goes
 //   Record* records;                               device memory for `count` of them, aligned to 32 bytes
 //
 // Records go to random places. Neighbouring lanes write the words of one record in one instruction: a record
@@ -342,8 +343,10 @@ __global__ void __launch_bounds__(Policy::item_threads)
   const int i = static_cast<int>(blockIdx.x) * Policy::item_threads + thread;
   int slot = -1;
   if (i < source.count) {
-    slot = s.start[cell_of(*s.grid, source.position(i))] + s.rank[i];
-    staged[thread] = source.record(i);
+    slot = s.start[cell_of(*s.grid, source.position(i))] + __ldcs(s.rank + i);
+    const Record record = source.record(i);
+    staged[thread] = record;
+    source.placed(*s.grid, i, slot, record);
   }
   __syncwarp();
   const float4* const from = reinterpret_cast<const float4*>(staged + (thread - lane));

@@ -40,7 +40,6 @@ struct GridPolicy : neighbour_grid::DefaultPolicy {
   static constexpr int z_cells = 1;
 };
 struct Policy {
-  static constexpr int encode_threads = 128;
   static constexpr int threads = 64;
   static constexpr int at_once = 2;
   static constexpr int run = 4;
@@ -50,7 +49,6 @@ struct Policy {
 #else
 using GridPolicy = neighbour_grid::DefaultPolicy;
 struct Policy {
-  static constexpr int encode_threads = 256;
   // Four columns of the paper's packing: its warps share what they read of the columns between.
   static constexpr int threads = 640;
   static constexpr int at_once = 6;  // candidates tested before the first look at a range's length
@@ -64,26 +62,6 @@ struct Policy {
 struct alignas(32) Grain {
   float4 sphere;  // centre, radius
   float4 motion;  // velocity, index in the input as bits
-};
-
-struct Grains {
-  using Record = Grain;
-  const float* __restrict__ x;
-  const float* __restrict__ v;
-  const float* __restrict__ r;
-  Grain* __restrict__ records;
-  int count;
-
-  __device__ __forceinline__ float3 position(int i) const {
-    const std::size_t o = 3 * static_cast<std::size_t>(i);
-    return {x[o], x[o + 1], x[o + 2]};
-  }
-  __device__ __forceinline__ float radius(int i) const { return r[i]; }
-  __device__ __forceinline__ Grain record(int i) const {
-    const std::size_t o = 3 * static_cast<std::size_t>(i);
-    return {make_float4(x[o], x[o + 1], x[o + 2], r[i]),
-            make_float4(v[o], v[o + 1], v[o + 2], __int_as_float(i))};
-  }
 };
 
 // ---- Codes: a sphere in four bytes, for a search that never misses a contact ----
@@ -136,13 +114,32 @@ __device__ __forceinline__ int code_bound(const neighbour_grid::Grid& grid, floa
   return static_cast<int>(fminf(reach * reach, 2e9f)) + 1;
 }
 
-__global__ void __launch_bounds__(Policy::encode_threads)
-    encode(const Grain* __restrict__ records, const neighbour_grid::Grid* __restrict__ grid,
-           unsigned* __restrict__ codes, int count) {
-  const int slot = static_cast<int>(blockIdx.x) * Policy::encode_threads + static_cast<int>(threadIdx.x);
-  if (slot < count) codes[slot] = code_of(*grid, records[slot].sphere);
-  if (slot < Policy::at_once) codes[count + slot] = 0;  // may be read, but are not grains
-}
+struct Grains {
+  using Record = Grain;
+  const float* __restrict__ x;
+  const float* __restrict__ v;
+  const float* __restrict__ r;
+  Grain* __restrict__ records;
+  unsigned* __restrict__ codes;
+  int count;
+
+  __device__ __forceinline__ float3 position(int i) const {
+    const std::size_t o = 3 * static_cast<std::size_t>(i);
+    return {x[o], x[o + 1], x[o + 2]};
+  }
+  __device__ __forceinline__ float radius(int i) const { return r[i]; }
+  __device__ __forceinline__ Grain record(int i) const {
+    const std::size_t o = 3 * static_cast<std::size_t>(i);
+    return {make_float4(x[o], x[o + 1], x[o + 2], r[i]),
+            make_float4(__ldcs(v + o), __ldcs(v + o + 1), __ldcs(v + o + 2), __int_as_float(i))};
+  }
+  __device__ __forceinline__ void placed(const neighbour_grid::Grid& grid, int i, int slot,
+                                         const Grain& grain) const {
+    codes[slot] = code_of(grid, grain.sphere);
+    if (i > 0) return;
+    for (int k = 0; k < Policy::at_once; ++k) codes[count + k] = 0;  // may be read, but are not grains
+  }
+};
 
 // ---- Forces ----
 
@@ -310,9 +307,7 @@ class Reference {
     const int n = static_cast<int>(in.radius.shape[0]);
     if (n == 0) return;
     const auto blocks = [n](int threads) { return static_cast<unsigned>((n + threads - 1) / threads); };
-    grid_.build(Grains{in.x.data, in.v.data, in.radius.data, records_.get(), n});
-    encode<<<blocks(Policy::encode_threads), Policy::encode_threads>>>(records_.get(), grid_.grid(),
-                                                                       codes_.get(), n);
+    grid_.build(Grains{in.x.data, in.v.data, in.radius.data, records_.get(), codes_.get(), n});
     sum_contacts<<<blocks(Policy::threads), Policy::threads>>>(
         records_.get(), codes_.get(), grid_.grid(), grid_.start(), out.force.data, Law{in.kn, in.cn}, n);
   }
