@@ -214,7 +214,7 @@ __global__ void __launch_bounds__(Policy::threads, Policy::blocks_per_sm)
     // the queue are this thread's own; `top` is the next free one.
     int2* const mine = queue + thread;
     int2* top = mine;
-    const auto evaluate = [&](auto two_at_once) {
+    const auto evaluate = [&]([[maybe_unused]] auto two_at_once) {
       const int2* entry = mine;
       int2 run{0, 0};
       const auto more = [&] {
@@ -231,7 +231,7 @@ __global__ void __launch_bounds__(Policy::threads, Policy::blocks_per_sm)
       };
       while (more()) {
         const int a = take();
-        if constexpr (two_at_once) {
+        if constexpr (decltype(two_at_once)::value) {
           // Half as many waits for records. A grain feels nothing from itself.
           const int b = more() ? take() : slot;
           const Grain first = records[a], second = records[b];
