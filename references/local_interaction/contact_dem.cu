@@ -35,8 +35,6 @@ struct GridPolicy : neighbour_grid::DefaultPolicy {
   static constexpr int bounds_threads = 256;
   static constexpr int bounds_blocks = 96;
   static constexpr int item_threads = 128;
-  static constexpr int scan_threads = 128;
-  static constexpr int scan_vectors = 2;
   static constexpr int z_cells = 1;
 };
 struct Policy {
