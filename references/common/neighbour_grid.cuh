@@ -79,20 +79,27 @@ __device__ __forceinline__ void visit_ranges(const Grid& grid, const int* __rest
   const int x0 = cell_along(grid, 0, p.x - cutoff), x1 = cell_along(grid, 0, p.x + cutoff);
   const int y0 = cell_along(grid, 1, p.y - cutoff), y1 = cell_along(grid, 1, p.y + cutoff);
   const int z0 = cell_along(grid, 2, p.z - cutoff), z1 = cell_along(grid, 2, p.z + cutoff);
-  int begin = 0, end = 0;
+  // Neighbours in the order of slots mostly share a column: they all begin one column before it, so that they
+  // are in the same column at any time and read the same cache lines, though some skip it. Columns are
+  // counted down to the last: `seen` of each axis are visited, `all` include those skipped.
+  const int seen_x = x1 - x0, all_x = max(seen_x, x1 - cell_along(grid, 0, p.x) + 1);
+  const int seen_y = y1 - y0, all_y = max(seen_y, y1 - cell_along(grid, 1, p.y) + 1);
+  const int width = z1 + 1 - z0, next_y = grid.cells[2], next_x = (grid.cells[1] - all_y) * next_y;
+  int ahead = ((x1 - all_x) * grid.cells[1] + y1 - all_y) * next_y + z0, begin = 0, end = 0;
   const auto fetch = [&](int x, int y) {
-    const int row = (x * grid.cells[1] + y) * grid.cells[2];
-    begin = start[row + z0];
-    end = start[row + z1 + 1];
+    begin = end = 0;
+    if (x > seen_x || y > seen_y) return;
+    begin = start[ahead];
+    end = start[ahead + width];
   };
-  fetch(x0, y0);
-  for (int x = x0; x <= x1; ++x) {
-    for (int y = y0; y <= y1; ++y) {
+  fetch(all_x, all_y);
+  for (int x = all_x; x >= 0; --x) {
+    for (int y = all_y; y >= 0; --y) {
       // The next column's range is under way while this one is visited: the visit waits for memory once, not
       // twice in a row.
       const int first = begin, last = end;
-      const bool turn = y == y1;
-      if (!turn || x < x1) fetch(turn ? x + 1 : x, turn ? y0 : y + 1);
+      ahead += y > 0 ? next_y : next_x;
+      if (y > 0 || x > 0) fetch(y > 0 ? x : x - 1, y > 0 ? y - 1 : all_y);
       visit(first, last);
     }
   }
