@@ -3,19 +3,22 @@
 // For every grain: the grains that overlap it, found through a uniform grid, and the sum of their forces.
 //
 // Mapping: the grains are sorted by cell (references/common/neighbour_grid.cuh) into records of one sector:
-// position, radius, velocity, index. A pass over the records writes each sphere again as a code of four bytes
-// for the search. A thread owns one grain in the sorted order, so a warp owns a stretch of one column of
-// cells and its candidates of another column are a short run of codes. Every pair is evaluated twice, once
-// from either side, with bitwise opposite results: no atomics, and forces balance to the rounding of each
-// sum.
+// position, radius, velocity, index. Each sphere is written again as a code of four bytes for the search. A
+// thread owns one grain in the sorted order, so a warp owns a stretch of one column of cells and its
+// candidates of another column are a short run of codes. Every pair is evaluated twice, once from either
+// side, with bitwise opposite results: no atomics, and forces balance to the rounding of each sum.
 //
-// What bounds it: random sectors in L2 while sorting (an atomic, a start and a record a grain), instruction
-// issue while searching. A grain meets 8.2 columns of cells and 37 candidates (cells of 1.2 x 1.2 x 0.6
-// against a reach of 1.15), of which 4.7 touch. What pays:
+// What bounds it: random sectors in L2 while sorting (an atomic, a start, a record and a code a grain); waits
+// for L1 and L2 while searching (with 40 warps an SM). A grain meets 8.2 columns of cells and 37 candidates
+// (cells of 1.2 x 1.2 x 0.6 against a reach of 1.15), of which 4.7 touch. What pays:
 // - Whole sectors: two lanes write one record in one instruction.
 // - Codes: a candidate costs one word instead of four (1.5 L1 wavefronts a load instead of about 7) and five
 //   instructions: load, add, dp4a, compare, set a bit. The test errs on the side of contact only and passes
 //   0.6 candidates a grain too many; the exact one in FP32 decides.
+// - Loads ahead: the range of the next column while one is searched, the records of two hits at a time.
+// - Columns in step: all lanes start at the column before their own, needed or not, so that they read the
+// same
+//   lines at the same time.
 // - Search and force apart: hits are queued in shared memory as bits, a run of candidates an entry, and the
 //   force (about 57 instructions) runs over the queues with most lanes busy: the longest of a warp's 32 holds
 //   6.4. Evaluated inside the search, nearly every candidate would drag its warp through the force.
