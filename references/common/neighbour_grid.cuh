@@ -1,10 +1,10 @@
 // Neighbour search on the device: items sorted by the cells of a uniform grid, for any payload and any
 // cut-off.
 //
-// A build is four launches, without a round trip to the host:
+// A build is five launches, without a round trip to the host:
 //   1. find_bounds   bounding box and largest radius; its last block chooses the grid. Clears the counters.
 //   2. count_items   items of each cell by atomics; the value returned is the item's rank in its cell.
-//   3. exclusive sum over the cells, in place (references/common/primitives.hpp).
+//   3. exclusive sum over the cells, in place: two launches (references/common/primitives.hpp).
 //   4. place_items   every item's record is written at start of its cell + rank.
 // Cells are contiguous along z, so that the cells [z0, z1] of one column are one range of slots:
 // [start[row + z0], start[row + z1 + 1]).

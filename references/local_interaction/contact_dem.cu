@@ -17,8 +17,7 @@
 //   0.6 candidates a grain too many; the exact one in FP32 decides.
 // - Loads ahead: the range of the next column while one is searched, the records of two hits at a time.
 // - Columns in step: all lanes start at the column before their own, needed or not, so that they read the
-// same
-//   lines at the same time.
+//   same lines at the same time.
 // - Search and force apart: hits are queued in shared memory as bits, a run of candidates an entry, and the
 //   force (about 57 instructions) runs over the queues with most lanes busy: the longest of a warp's 32 holds
 //   6.4. Evaluated inside the search, nearly every candidate would drag its warp through the force.
