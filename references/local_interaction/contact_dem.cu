@@ -12,7 +12,7 @@
 // for L1 and L2 while searching (with 40 warps an SM). A grain meets 8.2 columns of cells and 37 candidates
 // (cells of 1.2 x 1.2 x 0.6 against a reach of 1.15), of which 4.7 touch. What pays:
 // - Whole sectors: two lanes write one record in one instruction.
-// - Codes: a candidate costs one word instead of four (1.5 L1 wavefronts a load instead of about 7) and five
+// - Codes: a candidate costs one word instead of four (1.9 cache lines a load instead of about 7) and five
 //   instructions: load, add, dp4a, compare, set a bit. The test errs on the side of contact only and passes
 //   0.6 candidates a grain too many; the exact one in FP32 decides.
 // - Loads ahead: the range of the next column while one is searched, the records of two hits at a time.
