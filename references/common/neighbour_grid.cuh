@@ -1,10 +1,10 @@
 // Neighbour search on the device: items sorted by the cells of a uniform grid, for any payload and any
 // cut-off.
 //
-// A build is four launches, without a round trip to the host:
+// A build is five launches, without a round trip to the host:
 //   1. find_bounds   bounding box and largest radius; its last block chooses the grid. Clears the counters.
 //   2. count_items   items of each cell by atomics; the value returned is the item's rank in its cell.
-//   3. scan_cells    exclusive sum over the cells in one pass (decoupled look-back), in place.
+//   3. exclusive sum over the cells, in place: two launches (references/common/primitives.hpp).
 //   4. place_items   every item's record is written at start of its cell + rank.
 // Cells are contiguous along z, so that the cells [z0, z1] of one column are one range of slots:
 // [start[row + z0], start[row + z1 + 1]).
@@ -20,6 +20,7 @@
 //   __device__ float radius(int i) const;          half the cut-off of item i with one of its own size
 //   using Record;                                  payload of an item, a whole number of 16-byte words
 //   __device__ Record record(int i) const;         of item i
+//   __device__ void placed(const Grid&, int i, int slot, const Record&) const;   told where item i goes
 //   Record* records;                               device memory for `count` of them, aligned to 32 bytes
 //
 // Records go to random places. Neighbouring lanes write the words of one record in one instruction: a record
@@ -34,6 +35,7 @@
 #include <cstdint>
 
 #include "references/common/device_buffer.cuh"
+#include "references/common/primitives.hpp"
 
 namespace gpuphys::neighbour_grid {
 
@@ -42,9 +44,7 @@ struct DefaultPolicy {
   static constexpr int bounds_threads = 512;
   static constexpr int bounds_blocks = 3 * 132;  // one wave; also bounds the last block's share
   static constexpr int item_threads = 256;       // counting and placing: a thread an item
-  static constexpr int scan_threads = 256;
-  static constexpr int scan_vectors = 4;  // int4 a thread: 4096 cells a tile
-  static constexpr int z_cells = 2;       // cells along z in one edge along x and y: ranges fit tighter
+  static constexpr int z_cells = 2;  // cells along z in one edge along x and y: ranges fit tighter
   static constexpr float cells_per_item = 1.5f;
 };
 
@@ -79,10 +79,28 @@ __device__ __forceinline__ void visit_ranges(const Grid& grid, const int* __rest
   const int x0 = cell_along(grid, 0, p.x - cutoff), x1 = cell_along(grid, 0, p.x + cutoff);
   const int y0 = cell_along(grid, 1, p.y - cutoff), y1 = cell_along(grid, 1, p.y + cutoff);
   const int z0 = cell_along(grid, 2, p.z - cutoff), z1 = cell_along(grid, 2, p.z + cutoff);
-  for (int x = x0; x <= x1; ++x) {
-    for (int y = y0; y <= y1; ++y) {
-      const int row = (x * grid.cells[1] + y) * grid.cells[2];
-      visit(start[row + z0], start[row + z1 + 1]);
+  // Neighbours in the order of slots mostly share a column: they all begin one column before it, so that they
+  // are in the same column at any time and read the same cache lines, though some skip it. Columns are
+  // counted down to the last: `seen` of each axis are visited, `all` include those skipped.
+  const int seen_x = x1 - x0, all_x = max(seen_x, x1 - cell_along(grid, 0, p.x) + 1);
+  const int seen_y = y1 - y0, all_y = max(seen_y, y1 - cell_along(grid, 1, p.y) + 1);
+  const int width = z1 + 1 - z0, next_y = grid.cells[2], next_x = (grid.cells[1] - all_y) * next_y;
+  int ahead = ((x1 - all_x) * grid.cells[1] + y1 - all_y) * next_y + z0, begin = 0, end = 0;
+  const auto fetch = [&](int x, int y) {
+    begin = end = 0;
+    if (x > seen_x || y > seen_y) return;
+    begin = start[ahead];
+    end = start[ahead + width];
+  };
+  fetch(all_x, all_y);
+  for (int x = all_x; x >= 0; --x) {
+    for (int y = all_y; y >= 0; --y) {
+      // The next column's range is under way while this one is visited: the visit waits for memory once, not
+      // twice in a row.
+      const int first = begin, last = end;
+      ahead += y > 0 ? next_y : next_x;
+      if (y > 0 || x > 0) fetch(y > 0 ? x : x - 1, y > 0 ? y - 1 : all_y);
+      visit(first, last);
     }
   }
 }
@@ -101,13 +119,11 @@ static __device__ unsigned bounds_finished;
 /// Pointers to everything that a build works on.
 struct Storage {
   Grid* grid;
-  Bounds* partial;            // one a block of find_bounds
-  int* start;                 // counts, then starts: `padded` entries
-  int* rank;                  // of each item in its cell
-  std::uint64_t* tile_state;  // of the scan: state in the upper word, sum in the lower
-  int* next_tile;
-  int padded, tiles;  // entries of `start`, a whole number of tiles
-  int capacity;       // most cells a grid may have, < padded
+  Bounds* partial;  // one a block of find_bounds
+  int* start;       // counts, then starts: `padded` entries
+  int* rank;        // of each item in its cell
+  int capacity;     // most cells a grid may have
+  int padded;       // entries of `start`: one more, rounded up to whole vectors
 };
 
 __device__ __forceinline__ Bounds empty_bounds() {
@@ -188,8 +204,6 @@ __global__ void __launch_bounds__(Policy::bounds_threads)
   const int stride = static_cast<int>(gridDim.x * blockDim.x);
   int4* const counts = reinterpret_cast<int4*>(s.start);
   for (int c = first; c < s.padded / 4; c += stride) counts[c] = make_int4(0, 0, 0, 0);
-  for (int c = first; c < s.tiles; c += stride) s.tile_state[c] = 0;
-  if (first == 0) *s.next_tile = 0;
 
   Bounds b = empty_bounds();
 #pragma unroll 4  // loads of four items in flight
@@ -234,92 +248,6 @@ __global__ void __launch_bounds__(Policy::item_threads)
   s.rank[i] = atomicAdd(s.start + cell_of(*s.grid, source.position(i)), 1);
 }
 
-/// Exclusive sum of the counts, in place. Tiles are taken in the order in which blocks start, so every tile
-/// that one waits for is being worked on. A tile's state and sum share one word: no fence is needed.
-template <class Policy>
-__global__ void __launch_bounds__(Policy::scan_threads) scan_cells(const __grid_constant__ Storage s) {
-  constexpr int tile_items = Policy::scan_threads * Policy::scan_vectors * 4;
-  constexpr int warps = Policy::scan_threads / 32;
-  constexpr std::uint64_t has_sum = 1ull << 32, has_total = 2ull << 32;
-  __shared__ int warp_sum[warps], warp_part[warps];
-  __shared__ bool warp_stops[warps];
-  __shared__ int shared_tile;
-  const int thread = static_cast<int>(threadIdx.x), lane = thread % 32, warp = thread / 32;
-  if (thread == 0) shared_tile = atomicAdd(s.next_tile, 1);
-  __syncthreads();
-  const int tile = shared_tile;
-  if (tile > s.grid->total / tile_items) return;  // entry [total] is needed: it ends the last cell
-
-  int4* const items = reinterpret_cast<int4*>(s.start + static_cast<std::ptrdiff_t>(tile) * tile_items) +
-                      thread * Policy::scan_vectors;
-  int4 v[Policy::scan_vectors];
-  int sum = 0;
-#pragma unroll
-  for (int k = 0; k < Policy::scan_vectors; ++k) {
-    v[k] = items[k];
-    sum += v[k].x + v[k].y + v[k].z + v[k].w;
-  }
-  int inclusive = sum;
-  for (int offset = 1; offset < 32; offset *= 2) {
-    const int below = __shfl_up_sync(0xffffffffu, inclusive, offset);
-    if (lane >= offset) inclusive += below;
-  }
-  if (lane == 31) warp_sum[warp] = inclusive;
-  __syncthreads();
-  int before = inclusive - sum, tile_sum = 0;
-#pragma unroll
-  for (int w = 0; w < warps; ++w) {
-    if (w < warp) before += warp_sum[w];
-    tile_sum += warp_sum[w];
-  }
-
-  // The whole block looks back, a tile a thread, so that a few hops reach the first tile: a hop costs a
-  // round trip to L2, and a tile's total waits for that of the tile where its look-back stops.
-  volatile std::uint64_t* const state = s.tile_state;
-  if (thread == 0) {
-    state[tile] = (tile == 0 ? has_total : has_sum) | static_cast<std::uint32_t>(tile_sum);
-  }
-  int base = 0;
-  for (int nearest = tile - 1; nearest >= 0; nearest -= Policy::scan_threads) {
-    const int other = nearest - thread;
-    std::uint64_t word = has_total;  // before the first tile: nothing
-    if (other >= 0) {
-      do {
-        word = state[other];
-      } while (word == 0);
-    }
-    const unsigned totals = __ballot_sync(0xffffffffu, (word & has_total) != 0);
-    const int stop = totals ? __ffs(static_cast<int>(totals)) - 1 : 31;
-    int part = lane <= stop ? static_cast<int>(static_cast<std::uint32_t>(word)) : 0;
-    for (int offset = 16; offset > 0; offset /= 2) part += __shfl_xor_sync(0xffffffffu, part, offset);
-    __syncthreads();  // what the hop before left has been read
-    if (lane == 0) {
-      warp_part[warp] = part;
-      warp_stops[warp] = totals != 0;
-    }
-    __syncthreads();
-    bool stopped = false;
-#pragma unroll
-    for (int w = 0; w < warps; ++w) {
-      if (!stopped) base += warp_part[w];
-      stopped = stopped || warp_stops[w];
-    }
-    if (stopped) break;
-  }
-  if (thread == 0 && tile > 0) state[tile] = has_total | static_cast<std::uint32_t>(base + tile_sum);
-  int next = base + before;
-#pragma unroll
-  for (int k = 0; k < Policy::scan_vectors; ++k) {
-    const int4 c = v[k];
-    v[k].x = next;
-    v[k].y = v[k].x + c.x;
-    v[k].z = v[k].y + c.y;
-    v[k].w = v[k].z + c.z;
-    next = v[k].w + c.w;
-    items[k] = v[k];
-  }
-}
-
 template <class Policy, class Source>
 __global__ void __launch_bounds__(Policy::item_threads)
     place_items(const __grid_constant__ Source source, const __grid_constant__ Storage s) {
@@ -331,8 +259,10 @@ __global__ void __launch_bounds__(Policy::item_threads)
   const int i = static_cast<int>(blockIdx.x) * Policy::item_threads + thread;
   int slot = -1;
   if (i < source.count) {
-    slot = s.start[cell_of(*s.grid, source.position(i))] + s.rank[i];
-    staged[thread] = source.record(i);
+    slot = s.start[cell_of(*s.grid, source.position(i))] + __ldcs(s.rank + i);
+    const Record record = source.record(i);
+    staged[thread] = record;
+    source.placed(*s.grid, i, slot, record);
   }
   __syncwarp();
   const float4* const from = reinterpret_cast<const float4*>(staged + (thread - lane));
@@ -353,26 +283,22 @@ template <class Policy = DefaultPolicy>
 class NeighbourGrid {
  public:
   void allocate(std::int64_t items) {
-    constexpr int tile_items = Policy::scan_threads * Policy::scan_vectors * 4;
     const auto count = static_cast<std::size_t>(items);
     s_.capacity =
         static_cast<int>(static_cast<double>(Policy::cells_per_item) * static_cast<double>(items)) + 4096;
-    s_.tiles = s_.capacity / tile_items + 1;
-    s_.padded = s_.tiles * tile_items;
+    s_.padded = s_.capacity / 4 * 4 + 4;
+    scan_bytes_ = primitives::exclusive_sum_bytes(s_.padded);
     blocks_ = static_cast<unsigned>(std::clamp<std::int64_t>(
         (items + Policy::bounds_threads - 1) / Policy::bounds_threads, 1, Policy::bounds_blocks));
     grid_ = DeviceBuffer<Grid>(1);
     partial_ = DeviceBuffer<detail::Bounds>(blocks_);
     start_ = DeviceBuffer<int>(static_cast<std::size_t>(s_.padded));
     rank_ = DeviceBuffer<int>(count);
-    tile_state_ = DeviceBuffer<std::uint64_t>(static_cast<std::size_t>(s_.tiles));
-    next_tile_ = DeviceBuffer<int>(1);
+    scan_ = DeviceBuffer<std::byte>(scan_bytes_);
     s_.grid = grid_.get();
     s_.partial = partial_.get();
     s_.start = start_.get();
     s_.rank = rank_.get();
-    s_.tile_state = tile_state_.get();
-    s_.next_tile = next_tile_.get();
   }
 
   /// Sorts the items of `source` (at least one, at most as many as allocated for).
@@ -382,7 +308,7 @@ class NeighbourGrid {
         static_cast<unsigned>((source.count + Policy::item_threads - 1) / Policy::item_threads);
     detail::find_bounds<Policy><<<blocks_, Policy::bounds_threads>>>(source, s_);
     detail::count_items<Policy><<<item_blocks, Policy::item_threads>>>(source, s_);
-    detail::scan_cells<Policy><<<static_cast<unsigned>(s_.tiles), Policy::scan_threads>>>(s_);
+    primitives::exclusive_sum(scan_.get(), scan_bytes_, s_.start, s_.start, s_.padded);
     detail::place_items<Policy><<<item_blocks, Policy::item_threads>>>(source, s_);
   }
 
@@ -394,8 +320,9 @@ class NeighbourGrid {
   unsigned blocks_ = 1;
   DeviceBuffer<Grid> grid_;
   DeviceBuffer<detail::Bounds> partial_;
-  DeviceBuffer<int> start_, rank_, next_tile_;
-  DeviceBuffer<std::uint64_t> tile_state_;
+  DeviceBuffer<int> start_, rank_;
+  DeviceBuffer<std::byte> scan_;
+  std::size_t scan_bytes_ = 0;
 };
 
 }  // namespace gpuphys::neighbour_grid

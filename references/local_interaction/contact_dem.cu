@@ -3,24 +3,28 @@
 // For every grain: the grains that overlap it, found through a uniform grid, and the sum of their forces.
 //
 // Mapping: the grains are sorted by cell (references/common/neighbour_grid.cuh) into records of one sector:
-// position, radius, velocity, index. A pass over the records writes each sphere again as a code of four bytes
-// for the search. A thread owns one grain in the sorted order, so a warp owns a stretch of one column of
-// cells and its candidates of another column are a short run of codes. Every pair is evaluated twice, once
-// from either side, with bitwise opposite results: no atomics, and forces balance to the rounding of each
-// sum.
+// position, radius, velocity, index. Each sphere is written again as a code of four bytes for the search. A
+// thread owns one grain in the sorted order, so a warp owns a stretch of one column of cells and its
+// candidates of another column are a short run of codes. Every pair is evaluated twice, once from either
+// side, with bitwise opposite results: no atomics, and forces balance to the rounding of each sum.
 //
-// What bounds it: random sectors in L2 while sorting (an atomic, a start and a record a grain), instruction
-// issue while searching. A grain meets 8.2 columns of cells and 37 candidates (cells of 1.2 x 1.2 x 0.6
-// against a reach of 1.15), of which 4.7 touch. What pays:
+// What bounds it: random sectors in L2 while sorting (an atomic, a start, a record and a code a grain); waits
+// for L1 and L2 while searching (with 40 warps an SM). A grain meets 8.2 columns of cells and 37 candidates
+// (cells of 1.2 x 1.2 x 0.6 against a reach of 1.15), of which 4.7 touch. What pays:
 // - Whole sectors: two lanes write one record in one instruction.
-// - Codes: a candidate costs one word instead of four (1.5 L1 wavefronts a load instead of about 7) and five
+// - Codes: a candidate costs one word instead of four (1.9 cache lines a load instead of about 7) and five
 //   instructions: load, add, dp4a, compare, set a bit. The test errs on the side of contact only and passes
 //   0.6 candidates a grain too many; the exact one in FP32 decides.
+// - Loads ahead: the range of the next column while one is searched, the records of two hits at a time.
+// - Columns in step: all lanes start at the column before their own, needed or not, so that they read the
+//   same lines at the same time.
 // - Search and force apart: hits are queued in shared memory as bits, a run of candidates an entry, and the
 //   force (about 57 instructions) runs over the queues with most lanes busy: the longest of a warp's 32 holds
 //   6.4. Evaluated inside the search, nearly every candidate would drag its warp through the force.
 // The forces go back to the order of the input by scattered writes; three neighbouring lanes write the three
 // words of a grain, so that it costs one or two sectors instead of three requests.
+#include <type_traits>
+
 #include "cases/local_interaction/contact_dem.hpp"
 #include "core/module.hpp"
 #include "references/common/neighbour_grid.cuh"
@@ -28,23 +32,14 @@
 namespace gpuphys::contact_dem {
 namespace {
 
-#ifndef GPUPHYS_CONTACT_DEM_THREADS
-// Four columns of the paper's packing: blocks of an SM share what they read of the columns between. (To be
-// compared with 128 on the GPU.)
-#define GPUPHYS_CONTACT_DEM_THREADS 640
-#endif
-
 #ifdef GPUPHYS_OTHER_BLOCKS
 struct GridPolicy : neighbour_grid::DefaultPolicy {
   static constexpr int bounds_threads = 256;
   static constexpr int bounds_blocks = 96;
   static constexpr int item_threads = 128;
-  static constexpr int scan_threads = 128;
-  static constexpr int scan_vectors = 2;
   static constexpr int z_cells = 1;
 };
 struct Policy {
-  static constexpr int encode_threads = 128;
   static constexpr int threads = 64;
   static constexpr int at_once = 2;
   static constexpr int run = 4;
@@ -54,12 +49,12 @@ struct Policy {
 #else
 using GridPolicy = neighbour_grid::DefaultPolicy;
 struct Policy {
-  static constexpr int encode_threads = 256;
-  static constexpr int threads = GPUPHYS_CONTACT_DEM_THREADS;
+  // Four columns of the paper's packing: its warps share what they read of the columns between.
+  static constexpr int threads = 640;
   static constexpr int at_once = 6;  // candidates tested before the first look at a range's length
   static constexpr int run = 8;      // and between two looks at the queue; at most 32
   static constexpr int queue = 8;    // runs with hits a grain may have before they are evaluated in between
-  static constexpr int blocks_per_sm = 1280 / threads;
+  static constexpr int blocks_per_sm = 2;
 };
 #endif
 
@@ -67,26 +62,6 @@ struct Policy {
 struct alignas(32) Grain {
   float4 sphere;  // centre, radius
   float4 motion;  // velocity, index in the input as bits
-};
-
-struct Grains {
-  using Record = Grain;
-  const float* __restrict__ x;
-  const float* __restrict__ v;
-  const float* __restrict__ r;
-  Grain* __restrict__ records;
-  int count;
-
-  __device__ __forceinline__ float3 position(int i) const {
-    const std::size_t o = 3 * static_cast<std::size_t>(i);
-    return {x[o], x[o + 1], x[o + 2]};
-  }
-  __device__ __forceinline__ float radius(int i) const { return r[i]; }
-  __device__ __forceinline__ Grain record(int i) const {
-    const std::size_t o = 3 * static_cast<std::size_t>(i);
-    return {make_float4(x[o], x[o + 1], x[o + 2], r[i]),
-            make_float4(v[o], v[o + 1], v[o + 2], __int_as_float(i))};
-  }
 };
 
 // ---- Codes: a sphere in four bytes, for a search that never misses a contact ----
@@ -139,13 +114,32 @@ __device__ __forceinline__ int code_bound(const neighbour_grid::Grid& grid, floa
   return static_cast<int>(fminf(reach * reach, 2e9f)) + 1;
 }
 
-__global__ void __launch_bounds__(Policy::encode_threads)
-    encode(const Grain* __restrict__ records, const neighbour_grid::Grid* __restrict__ grid,
-           unsigned* __restrict__ codes, int count) {
-  const int slot = static_cast<int>(blockIdx.x) * Policy::encode_threads + static_cast<int>(threadIdx.x);
-  if (slot < count) codes[slot] = code_of(*grid, records[slot].sphere);
-  if (slot < Policy::at_once) codes[count + slot] = 0;  // may be read, but are not grains
-}
+struct Grains {
+  using Record = Grain;
+  const float* __restrict__ x;
+  const float* __restrict__ v;
+  const float* __restrict__ r;
+  Grain* __restrict__ records;
+  unsigned* __restrict__ codes;
+  int count;
+
+  __device__ __forceinline__ float3 position(int i) const {
+    const std::size_t o = 3 * static_cast<std::size_t>(i);
+    return {x[o], x[o + 1], x[o + 2]};
+  }
+  __device__ __forceinline__ float radius(int i) const { return r[i]; }
+  __device__ __forceinline__ Grain record(int i) const {
+    const std::size_t o = 3 * static_cast<std::size_t>(i);
+    return {make_float4(x[o], x[o + 1], x[o + 2], r[i]),
+            make_float4(__ldcs(v + o), __ldcs(v + o + 1), __ldcs(v + o + 2), __int_as_float(i))};
+  }
+  __device__ __forceinline__ void placed(const neighbour_grid::Grid& grid, int i, int slot,
+                                         const Grain& grain) const {
+    codes[slot] = code_of(grid, grain.sphere);
+    if (i > 0) return;
+    for (int k = 0; k < Policy::at_once; ++k) codes[count + k] = 0;  // may be read, but are not grains
+  }
+};
 
 // ---- Forces ----
 
@@ -220,19 +214,33 @@ __global__ void __launch_bounds__(Policy::threads, Policy::blocks_per_sm)
     // the queue are this thread's own; `top` is the next free one.
     int2* const mine = queue + thread;
     int2* top = mine;
-    const auto evaluate = [&] {
+    const auto evaluate = [&]([[maybe_unused]] auto two_at_once) {
       const int2* entry = mine;
       int2 run{0, 0};
-      while (true) {
-        if (run.y == 0) {
-          if (entry == top) break;
+      const auto more = [&] {
+        if (run.y == 0 && entry != top) {
           run = *entry;
           entry += Policy::threads;
         }
+        return run.y != 0;
+      };
+      const auto take = [&] {
         const int bit = 31 - __clz(run.y);
         run.y ^= 1 << bit;
-        const Grain other = records[run.x + bit];
-        add_contact(force, sphere, motion, other.sphere, other.motion, law);
+        return run.x + bit;
+      };
+      while (more()) {
+        const int a = take();
+        if constexpr (decltype(two_at_once)::value) {
+          // Half as many waits for records. A grain feels nothing from itself.
+          const int b = more() ? take() : slot;
+          const Grain first = records[a], second = records[b];
+          add_contact(force, sphere, motion, first.sphere, first.motion, law);
+          add_contact(force, sphere, motion, second.sphere, second.motion, law);
+        } else {
+          const Grain other = records[a];
+          add_contact(force, sphere, motion, other.sphere, other.motion, law);
+        }
       }
       top = mine;
     };
@@ -262,13 +270,13 @@ __global__ void __launch_bounds__(Policy::threads, Policy::blocks_per_sm)
         hits &= within & ~self;
         *top = make_int2(begin, static_cast<int>(hits));
         if (hits != 0) top += Policy::threads;
-        if (top == mine + Policy::queue * Policy::threads) evaluate();
+        if (top == mine + Policy::queue * Policy::threads) evaluate(std::false_type{});
       }
     };
     // Wider than any pair that passes the test: its sum of radii is rounded, and so is the squared distance.
     const float cutoff = (sphere.w + grid.largest) * 1.00001f;
     neighbour_grid::visit_ranges(grid, start, {sphere.x, sphere.y, sphere.z}, cutoff, search);
-    evaluate();
+    evaluate(std::true_type{});
   }
   // Lane l of the warp writes words l, l + 32 and l + 64 of the warp's 96: words of one grain side by side.
   const int lane = thread % 32;
@@ -299,9 +307,7 @@ class Reference {
     const int n = static_cast<int>(in.radius.shape[0]);
     if (n == 0) return;
     const auto blocks = [n](int threads) { return static_cast<unsigned>((n + threads - 1) / threads); };
-    grid_.build(Grains{in.x.data, in.v.data, in.radius.data, records_.get(), n});
-    encode<<<blocks(Policy::encode_threads), Policy::encode_threads>>>(records_.get(), grid_.grid(),
-                                                                       codes_.get(), n);
+    grid_.build(Grains{in.x.data, in.v.data, in.radius.data, records_.get(), codes_.get(), n});
     sum_contacts<<<blocks(Policy::threads), Policy::threads>>>(
         records_.get(), codes_.get(), grid_.grid(), grid_.start(), out.force.data, Law{in.kn, in.cn}, n);
   }
