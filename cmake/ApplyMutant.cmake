@@ -3,6 +3,8 @@ find_program(patch_program patch)
 if(NOT patch_program)
   message(FATAL_ERROR "the program 'patch' is missing (Debian: apt-get install patch)")
 endif()
+# What an earlier form of the patch touched must not stay behind: the folder comes first on the include path.
+file(REMOVE_RECURSE ${FOLDER})
 foreach(file ${FILES})
   configure_file(${ROOT}/${file} ${FOLDER}/${file} COPYONLY)
   # configure_file leaves an unchanged copy alone; a patched one differs, so it is always fresh here.
