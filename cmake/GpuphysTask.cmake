@@ -95,7 +95,7 @@ function(gpuphys_add_task task family)
                      LIBRARIES gpuphys_primitives)
       gpuphys_ptx_test(${task} ${variant} ${reference})
     endforeach()
-    # A reference that offers another choice of blocks is built with it as well: see fmad_variants/variants.cmake.
+    # A reference that offers another choice of blocks is built with it as well: rounding must not depend on them by much.
     file(STRINGS ${reference} offers_other_blocks REGEX "GPUPHYS_OTHER_BLOCKS")
     if(offers_other_blocks)
       gpuphys_module(${task} blocks ${reference} DEFINES GPUPHYS_OTHER_BLOCKS=1 LIBRARIES gpuphys_primitives)

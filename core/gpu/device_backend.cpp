@@ -34,7 +34,7 @@ constexpr std::size_t kAlignment = 256;
 constexpr unsigned char kGuardByte = 0xC3;
 
 // Device work that outlives compute()'s own stream order by less than this cannot be told from the cost of
-// asking, and is not called a fault. It counts in the reported time all the same.
+// asking, and is not called a fault. What of it exceeds that cost counts in the reported time.
 constexpr double kLateMilliseconds = 0.02;
 // The same as a fraction of the call, and as a multiple of what waiting for an idle device costs.
 constexpr double kLateFraction = 0.02;

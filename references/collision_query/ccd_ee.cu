@@ -4,8 +4,8 @@
 //    mean extent of a sample of the edges' swept boxes. With them the grid is known before any pass over
 //    edges.
 // 2. count: one thread an edge; fetches the ends once, keeps the box in the order of the edges, finds its
-// cell
-//    and its rank there. A scan turns the counts into the cells' starts.
+//    cell and its rank there.
+//    A scan turns the counts into the cells' starts.
 // 3. place: two threads an edge; its box with the two vertices goes to its place as one whole sector.
 // 4. impacts: a warp takes tiles of 32 places in a row. It walks the cells within reach of them, reads 32
 //    candidates at a time, one a lane, and keeps in shared memory those that overlap the box around the tile.

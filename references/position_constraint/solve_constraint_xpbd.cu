@@ -9,14 +9,14 @@
 // Positions are held as input plus displacement: differences of inputs are exact or nearly so, displacements
 // of a centimetre keep their digits, and one addition at the end rounds.
 //
-// What bounds it (predictions, n = 1.05 million, m = 6.28 million, 12.56 million half-springs): an iteration
-// streams 8 + 4 + 4 bytes a half-spring and 32 + 32 bytes a particle, 268 MB, 0.063 ms; and the L1 looks up a
-// line for each random particle, about 0.06 ms. Sorting moves 477 MB and gathers 12.56 million numbers, 0.3
-// ms. Measured by ncu on an H100 (3.0 TB/s): 262 MB and 0.09-0.107 ms an iteration, device memory 70-76 %.
-// What pays: the sector-sized particle (position, inverse mass, displacement and valence of a neighbour in
-// one access), fetched by two lanes together, which halves the look-ups; whole sectors stored; the Morton
-// curve, so that most neighbours are in the L1 or the L2; and multisplits in shared memory in place of random
-// stores, with runs of whole records, in one array, long against a sector.
+// What bounds it (n = 1.05 million, m = 6.28 million, 12.56 million half-springs; times predicted): an
+// iteration streams 8 + 4 + 4 bytes a half-spring and 32 + 32 bytes a particle, 268 MB, 0.063 ms; and the L1
+// looks up a line for each random particle, about 0.06 ms. Sorting moves 477 MB and gathers 12.56 million
+// numbers, 0.3 ms. Measured by ncu on an H100 (3.0 TB/s): 262 MB and 0.09-0.107 ms an iteration, device
+// memory 70-76 %. What pays: the sector-sized particle (position, inverse mass, displacement and valence of a
+// neighbour in one access), fetched by two lanes together, which halves the look-ups; whole sectors stored;
+// the Morton curve, so that most neighbours are in the L1 or the L2; and multisplits in shared memory in
+// place of random stores, with runs of whole records, in one array, long against a sector.
 #include "cases/position_constraint/solve_constraint_xpbd.hpp"
 
 #include <climits>
