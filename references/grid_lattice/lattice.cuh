@@ -1,5 +1,6 @@
 // D3Q19 and D3Q27 lattices for the references: velocity tables, two-relaxation-time (TRT) collision in
-// registers, and periodic streaming whose stores are whole aligned lines.
+// registers, and periodic streaming whose stores are whole aligned lines. launch_step() changes cells and
+// moves their populations, launch_collision() only changes cells, launch_streaming() only moves.
 //
 // Streaming by +-1 along z, the contiguous index, would shift a warp's store by one element: five sectors
 // instead of four, two of them partial. Here a block owns whole rows along z, so that the shift (with its
@@ -255,6 +256,103 @@ __global__ void __launch_bounds__(Policy::threads)
   });
 }
 
+/// N floats in one access.
+template <int N>
+struct alignas(4 * N) Pack {
+  float at[N];
+};
+
+/// Are all rows of whole packs of N floats, and both arrays on the boundary of one?
+template <int N>
+bool in_packs(const void* f, const void* out, std::int64_t floats) {
+  return floats % N == 0 &&
+         (reinterpret_cast<std::uintptr_t>(f) | reinterpret_cast<std::uintptr_t>(out)) % sizeof(Pack<N>) == 0;
+}
+
+/// Applies `change` to every cell; populations stay where they are. A thread owns N neighbouring cells.
+template <class L, class Policy, int N, class Cell>
+__global__ void __launch_bounds__(Policy::threads, Policy::blocks_per_sm)
+    change_cells(const float* __restrict__ f, float* __restrict__ out, const std::int64_t plane,
+                 const __grid_constant__ Cell change) {
+  const std::int64_t first = N * (blockIdx.x * std::int64_t{Policy::threads} + threadIdx.x);
+  if (first >= plane) return;
+  float populations[N][L::Q];
+  unrolled<0, L::Q>([&](auto direction) {
+    constexpr int q = decltype(direction)::value;
+    const auto pack = *reinterpret_cast<const Pack<N>*>(f + q * plane + first);
+#pragma unroll
+    for (int n = 0; n < N; ++n) populations[n][q] = pack.at[n];
+  });
+#pragma unroll
+  for (int n = 0; n < N; ++n) change(populations[n]);
+  unrolled<0, L::Q>([&](auto direction) {
+    constexpr int q = decltype(direction)::value;
+    Pack<N> pack;
+#pragma unroll
+    for (int n = 0; n < N; ++n) pack.at[n] = populations[n][q];
+    *reinterpret_cast<Pack<N>*>(out + q * plane + first) = pack;
+  });
+}
+
+/// Launches a collision without streaming.
+///
+/// Policy: `threads` a block, `cells` a thread, `blocks_per_sm` that must fit an SM (limits registers).
+template <class L, class Policy, class Cell>
+void launch_collision(const View<const float, 4>& f, float* out, const Cell& change) {
+  const std::int64_t plane = make_grid(f).plane;
+  const auto launch = [&](auto cells) {
+    constexpr int N = decltype(cells)::value, per_block = N * Policy::threads;
+    change_cells<L, Policy, N, Cell>
+        <<<static_cast<unsigned>((plane + per_block - 1) / per_block), Policy::threads>>>(f.data, out, plane,
+                                                                                          change);
+  };
+  if (in_packs<Policy::cells>(f.data, out, plane)) {
+    launch(std::integral_constant<int, Policy::cells>{});
+  } else {
+    launch(std::integral_constant<int, 1>{});
+  }
+}
+
+/// What moves to cells k ... k+3 of a row of nz cells along z whose populations have velocity C along z. The
+/// fourth value, from beside the aligned four, is in the cache: it is one of a neighbouring thread's four.
+template <int C>
+__device__ __forceinline__ float4 moved_along_z(const float* row, int k, int nz) {
+  const float4 at = __ldg(reinterpret_cast<const float4*>(row + k));
+  if constexpr (C > 0) return {__ldg(row + neighbour<-1>(k, nz)), at.x, at.y, at.z};
+  if constexpr (C < 0) return {at.y, at.z, at.w, __ldg(row + neighbour<1>(k + 3, nz))};
+  return at;
+}
+
+/// Streaming alone: a block copies a piece of one plane of constant x of one population, blockIdx.z, so that
+/// few places of memory are open at a time; blockIdx.y is x. Rows along z are pieces of four, so that every
+/// access but the one beside them is 16 aligned bytes. Threads beyond the last piece repeat it and store
+/// nothing.
+template <class L, class Policy>
+__global__ void __launch_bounds__(Policy::threads)
+    move_planes(const float* __restrict__ f, float* __restrict__ out, const __grid_constant__ Grid grid) {
+  const int pieces = grid.nz / 4, count = grid.ny * pieces, i = static_cast<int>(blockIdx.y);
+  const int first = static_cast<int>(blockIdx.x * (Policy::threads * Policy::pieces) + threadIdx.x);
+  unrolled<0, L::Q>([&](auto direction) {
+    constexpr int q = decltype(direction)::value;
+    if (blockIdx.z != q) return;
+    const float* from = f + q * grid.plane + static_cast<std::int64_t>(i) * grid.ny * grid.nz;
+    float4 moved[Policy::pieces];
+    int to[Policy::pieces];
+#pragma unroll
+    for (int n = 0; n < Policy::pieces; ++n) {
+      const int item = min(first + n * Policy::threads, count - 1);
+      const int j = item / pieces, k = 4 * (item - j * pieces);
+      moved[n] = moved_along_z<L::c(q, 2)>(from + j * grid.nz, k, grid.nz);
+      to[n] = target_row<L, q>(grid, i, j) + k;
+    }
+#pragma unroll
+    for (int n = 0; n < Policy::pieces; ++n) {
+      if (first + n * Policy::threads < count)
+        *reinterpret_cast<float4*>(out + q * grid.plane + to[n]) = moved[n];
+    }
+  });
+}
+
 /// Launches one step: `change` is applied to the populations of every cell, which then move by their
 /// velocities.
 ///
@@ -276,6 +374,23 @@ void launch_step(const View<const float, 4>& f, float* out, const Cell& change) 
     step_cells<L, Policy, Cell>
         <<<static_cast<unsigned>(blocks), Policy::threads>>>(f.data, out, grid, change);
   }
+}
+
+/// Launches streaming alone.
+///
+/// Policy: that of launch_step(), for rows that are not whole pieces of four populations, and `pieces` that a
+/// thread moves.
+template <class L, class Policy>
+void launch_streaming(const View<const float, 4>& f, float* out) {
+  const Grid grid = make_grid(f);
+  if (grid.nx > 65535 || !in_packs<4>(f.data, out, grid.nz)) {
+    launch_step<L, Policy>(f, out, NoCollision<L>{});
+    return;
+  }
+  constexpr int per_block = Policy::threads * Policy::pieces;
+  const std::int64_t blocks = (std::int64_t{grid.ny} * (grid.nz / 4) + per_block - 1) / per_block;
+  const dim3 shape(static_cast<unsigned>(blocks), static_cast<unsigned>(grid.nx), L::Q);
+  move_planes<L, Policy><<<shape, Policy::threads>>>(f.data, out, grid);
 }
 
 }  // namespace gpuphys::lbm
