@@ -256,17 +256,37 @@ __global__ void __launch_bounds__(Policy::threads)
   });
 }
 
-/// N floats in one access.
+/// Reads or writes N neighbouring floats, 1, 2 or 4, in one access.
 template <int N>
-struct alignas(4 * N) Pack {
-  float at[N];
-};
+__device__ __forceinline__ void load_pack(const float* from, float (&values)[N]) {
+  static_assert(N == 1 || N == 2 || N == 4);
+  if constexpr (N == 1) values[0] = __ldg(from);
+  if constexpr (N == 2) {
+    const float2 pack = __ldg(reinterpret_cast<const float2*>(from));
+    values[0] = pack.x, values[1] = pack.y;
+  }
+  if constexpr (N == 4) {
+    const float4 pack = __ldg(reinterpret_cast<const float4*>(from));
+    values[0] = pack.x, values[1] = pack.y, values[2] = pack.z, values[3] = pack.w;
+  }
+}
+template <int N>
+__device__ __forceinline__ void store_pack(float* to, const float (&values)[N]) {
+  if constexpr (N == 1) *to = values[0];
+  // The compiler takes plain assignments of vectors apart.
+  if constexpr (N == 2)
+    asm volatile("st.global.v2.f32 [%0], {%1, %2};" ::"l"(to), "f"(values[0]), "f"(values[1]) : "memory");
+  if constexpr (N == 4)
+    asm volatile("st.global.v4.f32 [%0], {%1, %2, %3, %4};" ::"l"(to), "f"(values[0]), "f"(values[1]),
+                 "f"(values[2]), "f"(values[3])
+                 : "memory");
+}
 
-/// Are all rows of whole packs of N floats, and both arrays on the boundary of one?
+/// Are `floats` whole packs of N, and both arrays aligned to one?
 template <int N>
 bool in_packs(const void* f, const void* out, std::int64_t floats) {
-  return floats % N == 0 &&
-         (reinterpret_cast<std::uintptr_t>(f) | reinterpret_cast<std::uintptr_t>(out)) % sizeof(Pack<N>) == 0;
+  const auto addresses = reinterpret_cast<std::uintptr_t>(f) | reinterpret_cast<std::uintptr_t>(out);
+  return floats % N == 0 && addresses % (N * sizeof(float)) == 0;
 }
 
 /// Applies `change` to every cell; populations stay where they are. A thread owns N neighbouring cells.
@@ -279,18 +299,19 @@ __global__ void __launch_bounds__(Policy::threads, Policy::blocks_per_sm)
   float populations[N][L::Q];
   unrolled<0, L::Q>([&](auto direction) {
     constexpr int q = decltype(direction)::value;
-    const auto pack = *reinterpret_cast<const Pack<N>*>(f + q * plane + first);
+    float pack[N];
+    load_pack(f + q * plane + first, pack);
 #pragma unroll
-    for (int n = 0; n < N; ++n) populations[n][q] = pack.at[n];
+    for (int n = 0; n < N; ++n) populations[n][q] = pack[n];
   });
 #pragma unroll
   for (int n = 0; n < N; ++n) change(populations[n]);
   unrolled<0, L::Q>([&](auto direction) {
     constexpr int q = decltype(direction)::value;
-    Pack<N> pack;
+    float pack[N];
 #pragma unroll
-    for (int n = 0; n < N; ++n) pack.at[n] = populations[n][q];
-    *reinterpret_cast<Pack<N>*>(out + q * plane + first) = pack;
+    for (int n = 0; n < N; ++n) pack[n] = populations[n][q];
+    store_pack(out + q * plane + first, pack);
   });
 }
 
@@ -313,14 +334,19 @@ void launch_collision(const View<const float, 4>& f, float* out, const Cell& cha
   }
 }
 
-/// What moves to cells k ... k+3 of a row of nz cells along z whose populations have velocity C along z. The
-/// fourth value, from beside the aligned four, is in the cache: it is one of a neighbouring thread's four.
+/// Reads what moves to cells k ... k+3 of a row of nz cells along z, for velocity C along z. The fourth
+/// value, from beside the aligned four, is in the cache: it is one of a neighbouring thread's.
 template <int C>
-__device__ __forceinline__ float4 moved_along_z(const float* row, int k, int nz) {
-  const float4 at = __ldg(reinterpret_cast<const float4*>(row + k));
-  if constexpr (C > 0) return {__ldg(row + neighbour<-1>(k, nz)), at.x, at.y, at.z};
-  if constexpr (C < 0) return {at.y, at.z, at.w, __ldg(row + neighbour<1>(k + 3, nz))};
-  return at;
+__device__ __forceinline__ void load_moved(const float* row, int k, int nz, float (&values)[4]) {
+  load_pack(row + k, values);
+  if constexpr (C > 0) {
+    values[3] = values[2], values[2] = values[1], values[1] = values[0];
+    values[0] = __ldg(row + neighbour<-1>(k, nz));
+  }
+  if constexpr (C < 0) {
+    values[0] = values[1], values[1] = values[2], values[2] = values[3];
+    values[3] = __ldg(row + neighbour<1>(k + 3, nz));
+  }
 }
 
 /// Streaming alone: a block copies a piece of one plane of constant x of one population, blockIdx.z, so that
@@ -336,19 +362,18 @@ __global__ void __launch_bounds__(Policy::threads)
     constexpr int q = decltype(direction)::value;
     if (blockIdx.z != q) return;
     const float* from = f + q * grid.plane + static_cast<std::int64_t>(i) * grid.ny * grid.nz;
-    float4 moved[Policy::pieces];
+    float moved[Policy::pieces][4];
     int to[Policy::pieces];
 #pragma unroll
     for (int n = 0; n < Policy::pieces; ++n) {
       const int item = min(first + n * Policy::threads, count - 1);
       const int j = item / pieces, k = 4 * (item - j * pieces);
-      moved[n] = moved_along_z<L::c(q, 2)>(from + j * grid.nz, k, grid.nz);
+      load_moved<L::c(q, 2)>(from + j * grid.nz, k, grid.nz, moved[n]);
       to[n] = target_row<L, q>(grid, i, j) + k;
     }
 #pragma unroll
     for (int n = 0; n < Policy::pieces; ++n) {
-      if (first + n * Policy::threads < count)
-        *reinterpret_cast<float4*>(out + q * grid.plane + to[n]) = moved[n];
+      if (first + n * Policy::threads < count) store_pack(out + q * grid.plane + to[n], moved[n]);
     }
   });
 }
