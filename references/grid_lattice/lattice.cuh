@@ -170,28 +170,25 @@ __device__ __forceinline__ int target_row(const Grid& grid, int i, int j) {
   return (neighbour<L::c(q, 0)>(i, grid.nx) * grid.ny + neighbour<L::c(q, 1)>(j, grid.ny)) * grid.nz;
 }
 
-template <class Policy>
-__device__ __forceinline__ float load(const float* p) {
-  if constexpr (Policy::streaming_loads) return __ldcs(p);
-  return __ldg(p);
-}
-template <class Policy>
-__device__ __forceinline__ void store(float* p, float value) {
-  if constexpr (Policy::streaming_stores) {
-    __stcs(p, value);
-  } else {
-    *p = value;
-  }
-}
+/// Blocks of whole rows along z, for a step. Evict-first loads and stores gained nothing and made the time
+/// depend on where the arrays happen to lie: there are no such options.
+template <int LongestRow, int Threads, int BlocksPerSm>
+struct RowPolicy {
+  static_assert(Threads <= LongestRow && LongestRow % 32 == 0);
+  static constexpr int longest_row = LongestRow;  ///< that a block owns; also sizes shared memory
+  static constexpr int threads = Threads;  ///< what short rows or the cells of long ones are gathered to
+  static constexpr int blocks_per_sm =
+      BlocksPerSm;  ///< of longest_row that must fit an SM (limits registers)
+};
 
 /// All populations of a cell.
-template <class L, class Policy>
+template <class L>
 __device__ __forceinline__ void load_cell(const float* __restrict__ f, const Grid& grid, int cell,
                                           float (&populations)[L::Q]) {
   const float* from = f + cell;
   unrolled<0, L::Q>([&](auto direction) {
     constexpr int q = decltype(direction)::value;
-    populations[q] = load<Policy>(from + q * grid.plane);
+    populations[q] = __ldg(from + q * grid.plane);
   });
 }
 
@@ -209,7 +206,7 @@ __global__ void __launch_bounds__(Policy::longest_row, Policy::blocks_per_sm)
   const int first = static_cast<int>(threadIdx.y * blockDim.x);  // of this row in shared memory
 
   float populations[L::Q];
-  load_cell<L, Policy>(f, grid, (i * grid.ny + j) * grid.nz + k, populations);
+  load_cell<L>(f, grid, (i * grid.ny + j) * grid.nz + k, populations);
   change(populations);
 
   unrolled<0, L::Q>([&](auto direction) {
@@ -222,7 +219,7 @@ __global__ void __launch_bounds__(Policy::longest_row, Policy::blocks_per_sm)
     unrolled<0, L::Q>([&](auto direction) {
       constexpr int q = decltype(direction)::value;
       if constexpr (L::c(q, 2) == 0)
-        store<Policy>(out + q * grid.plane + (target_row<L, q>(grid, i, j) + k), populations[q]);
+        out[q * grid.plane + (target_row<L, q>(grid, i, j) + k)] = populations[q];
     });
   }
   __syncthreads();
@@ -230,8 +227,7 @@ __global__ void __launch_bounds__(Policy::longest_row, Policy::blocks_per_sm)
     unrolled<0, L::Q>([&](auto direction) {
       constexpr int q = decltype(direction)::value;
       if constexpr (L::c(q, 2) != 0) {
-        store<Policy>(out + q * grid.plane + (target_row<L, q>(grid, i, j) + k),
-                      shifted[L::slot(q)][first + k]);
+        out[q * grid.plane + (target_row<L, q>(grid, i, j) + k)] = shifted[L::slot(q)][first + k];
       }
     });
   }
@@ -247,12 +243,12 @@ __global__ void __launch_bounds__(Policy::threads)
   const int rows = static_cast<int>(cell) / grid.nz, k = static_cast<int>(cell) - rows * grid.nz;
   const int i = rows / grid.ny, j = rows - i * grid.ny;
   float populations[L::Q];
-  load_cell<L, Policy>(f, grid, static_cast<int>(cell), populations);
+  load_cell<L>(f, grid, static_cast<int>(cell), populations);
   change(populations);
   unrolled<0, L::Q>([&](auto direction) {
     constexpr int q = decltype(direction)::value;
     const int to = target_row<L, q>(grid, i, j) + neighbour<L::c(q, 2)>(k, grid.nz);
-    store<Policy>(out + q * grid.plane + to, populations[q]);
+    out[q * grid.plane + to] = populations[q];
   });
 }
 
@@ -289,6 +285,14 @@ bool in_packs(const void* f, const void* out, std::int64_t floats) {
   return floats % N == 0 && addresses % (N * sizeof(float)) == 0;
 }
 
+/// A line of cells, for a collision.
+template <int Threads, int Cells, int BlocksPerSm>
+struct LinePolicy {
+  static constexpr int threads = Threads;            ///< a block
+  static constexpr int cells = Cells;                ///< a thread: 1, 2 or 4
+  static constexpr int blocks_per_sm = BlocksPerSm;  ///< that must fit an SM (limits registers)
+};
+
 /// Applies `change` to every cell; populations stay where they are. A thread owns N neighbouring cells.
 template <class L, class Policy, int N, class Cell>
 __global__ void __launch_bounds__(Policy::threads, Policy::blocks_per_sm)
@@ -316,8 +320,6 @@ __global__ void __launch_bounds__(Policy::threads, Policy::blocks_per_sm)
 }
 
 /// Launches a collision without streaming.
-///
-/// Policy: `threads` a block, `cells` a thread, `blocks_per_sm` that must fit an SM (limits registers).
 template <class L, class Policy, class Cell>
 void launch_collision(const View<const float, 4>& f, float* out, const Cell& change) {
   const std::int64_t plane = make_grid(f).plane;
@@ -333,6 +335,15 @@ void launch_collision(const View<const float, 4>& f, float* out, const Cell& cha
     launch(std::integral_constant<int, 1>{});
   }
 }
+
+/// Populations one after the other, for streaming.
+template <int Threads, int Pieces>
+struct CopyPolicy {
+  static constexpr int threads = Threads;  ///< a block
+  static constexpr int pieces = Pieces;    ///< of four populations that a thread moves
+  /// For rows that are not whole pieces.
+  using Rows = RowPolicy<2 * Threads, Threads, 512 / Threads>;
+};
 
 /// Reads what moves to cells k ... k+3 of a row of nz cells along z, for velocity C along z. The fourth
 /// value, from beside the aligned four, is in the cache: it is one of a neighbouring thread's.
@@ -380,13 +391,8 @@ __global__ void __launch_bounds__(Policy::threads)
 
 /// Launches one step: `change` is applied to the populations of every cell, which then move by their
 /// velocities.
-///
-/// Policy: `longest_row`, the longest row that a block owns (a multiple of 32; also sizes shared memory);
-/// `threads`, what several short rows or the cells of long ones are gathered to; `blocks_per_sm`, blocks of
-/// longest_row that must fit an SM (limits registers); `streaming_loads` and `streaming_stores`, evict-first.
 template <class L, class Policy, class Cell>
 void launch_step(const View<const float, 4>& f, float* out, const Cell& change) {
-  static_assert(Policy::threads <= Policy::longest_row);
   const Grid grid = make_grid(f);
   if (grid.nz <= Policy::longest_row && grid.nx <= 65535) {
     int rows = Policy::threads / grid.nz;
@@ -402,14 +408,11 @@ void launch_step(const View<const float, 4>& f, float* out, const Cell& change) 
 }
 
 /// Launches streaming alone.
-///
-/// Policy: that of launch_step(), for rows that are not whole pieces of four populations, and `pieces` that a
-/// thread moves.
 template <class L, class Policy>
 void launch_streaming(const View<const float, 4>& f, float* out) {
   const Grid grid = make_grid(f);
   if (grid.nx > 65535 || !in_packs<4>(f.data, out, grid.nz)) {
-    launch_step<L, Policy>(f, out, NoCollision<L>{});
+    launch_step<L, typename Policy::Rows>(f, out, NoCollision<L>{});
     return;
   }
   constexpr int per_block = Policy::threads * Policy::pieces;
@@ -417,5 +420,33 @@ void launch_streaming(const View<const float, 4>& f, float* out) {
   const dim3 shape(static_cast<unsigned>(blocks), static_cast<unsigned>(grid.nx), L::Q);
   move_planes<L, Policy><<<shape, Policy::threads>>>(f.data, out, grid);
 }
+
+/// What the references of the tasks have in common: no memory of their own, and a grid that must be small
+/// enough.
+struct Stateless {
+  void allocate(const auto& in, const auto&) { make_grid(in.f); }
+};
+
+/// Reference of a task that streams.
+template <class L, class Policy>
+struct Streaming : Stateless {
+  void compute(const auto& in, const auto& out) { launch_streaming<L, Policy>(in.f, out.f.data); }
+};
+
+/// Reference of a task that collides.
+template <class L, class Policy>
+struct Collision : Stateless {
+  void compute(const auto& in, const auto& out) {
+    launch_collision<L, Policy>(in.f, out.f.data, TrtCollision<L>::make(in.tau_plus, in.magic));
+  }
+};
+
+/// Reference of a task that collides, then streams.
+template <class L, class Policy>
+struct CollisionThenStreaming : Stateless {
+  void compute(const auto& in, const auto& out) {
+    launch_step<L, Policy>(in.f, out.f.data, TrtCollision<L>::make(in.tau_plus, in.magic));
+  }
+};
 
 }  // namespace gpuphys::lbm
