@@ -342,7 +342,7 @@ struct CopyPolicy {
   static constexpr int threads = Threads;  ///< a block
   static constexpr int pieces = Pieces;    ///< of four populations that a thread moves
   /// For rows that are not whole pieces.
-  using Rows = RowPolicy<2 * Threads, Threads, 512 / Threads>;
+  using Rows = RowPolicy<Threads, Threads, 1024 / Threads>;
 };
 
 /// Reads what moves to cells k ... k+3 of a row of nz cells along z, for velocity C along z. The fourth
