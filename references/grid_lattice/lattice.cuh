@@ -6,6 +6,7 @@
 // instead of four, two of them partial. Here a block owns whole rows along z, so that the shift (with its
 // periodic wrap) is a permutation inside the block: populations that change z pass through shared memory and
 // every store is as coalesced and aligned as the load. The shifts along x and y only choose another row.
+// Streaming alone needs no whole cells: a thread shifts four neighbours in registers.
 #pragma once
 
 #include <cstdint>
