@@ -16,32 +16,15 @@
 namespace gpuphys::lbm_d3q19 {
 namespace {
 
-struct Policy {
 #ifdef GPUPHYS_OTHER_BLOCKS
-  static constexpr int longest_row = 96;  // the paper's rows take the path without shared memory
-  static constexpr int threads = 64;
-  static constexpr int blocks_per_sm = 8;
+// The paper's rows take the path without shared memory.
+struct Policy : lbm::RowPolicy<96, 64, 8> {};
 #else
-  static constexpr int longest_row = 512;
-  static constexpr int threads = 448;      // two of the paper's rows
-  static constexpr int blocks_per_sm = 2;  // 64 registers a thread: four rows of 224 an SM
+// Two of the paper's rows a block; 64 registers a thread: four rows an SM.
+struct Policy : lbm::RowPolicy<512, 448, 2> {};
 #endif
-  // Evict-first hints gain nothing and make the time depend on where the arrays happen to lie.
-  static constexpr bool streaming_loads = false;
-  static constexpr bool streaming_stores = false;
-};
 
-using D3Q19 = lbm::Lattice<19>;
-
-class Reference {
- public:
-  void allocate(const Inputs& in, const Outputs<float>&) { lbm::make_grid(in.f); }
-
-  void compute(const Inputs& in, const Outputs<float>& out) {
-    const auto collision = lbm::TrtCollision<D3Q19>::make(in.tau_plus, in.magic);
-    lbm::launch_step<D3Q19, Policy>(in.f, out.f.data, collision);
-  }
-};
+using Reference = lbm::CollisionThenStreaming<lbm::Lattice<19>, Policy>;
 
 }  // namespace
 }  // namespace gpuphys::lbm_d3q19
