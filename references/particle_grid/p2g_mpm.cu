@@ -44,15 +44,19 @@ using particle_grid::TileGrid;
 using particle_grid::WorkItem;
 
 struct Policy {
-  static constexpr int count_threads = 256;
-  static constexpr int count_per_thread = 4;  // independent atomics in flight
+  static constexpr int mark_threads = 256;
+  static constexpr int mark_stride = 16;  // one row of 32 particles in so many
   static constexpr int plan_threads = 256;
 #ifdef GPUPHYS_OTHER_BLOCKS
+  static constexpr int count_threads = 512;
+  static constexpr int count_per_thread = 3;
   static constexpr int place_threads = 256;
   static constexpr int place_blocks_per_sm = 4;
   static constexpr int piece = 320;
   static constexpr int scatter_blocks_per_sm = 3;
 #else
+  static constexpr int count_threads = 1024;  // a block an SM: its histogram fills shared memory
+  static constexpr int count_per_thread = 4;
   static constexpr int place_threads = 128;
   static constexpr int place_blocks_per_sm = 9;  // 36 warps in 56 registers; ten blocks spill
   static constexpr int piece =
@@ -117,7 +121,7 @@ __device__ __forceinline__ void transpose_rows(float* __restrict__ stage, float 
 
 __global__ void __launch_bounds__(Policy::place_threads, Policy::place_blocks_per_sm)
     place(const __grid_constant__ TileGrid grid, const __grid_constant__ Particles particles, Moduli moduli,
-          int* __restrict__ next, float4* __restrict__ records) {
+          const int* __restrict__ slots, int* __restrict__ next, float4* __restrict__ records) {
   constexpr int per_warp = 32 * (3 + 3 + 9);
   constexpr int per_store = 32 / kStride;  // records that a warp writes at once
   __shared__ __align__(16) float staging[Policy::place_threads / 32][per_warp];
@@ -132,9 +136,11 @@ __global__ void __launch_bounds__(Policy::place_threads, Policy::place_blocks_pe
   transpose_rows(stage, x);
   const particle_grid::Place at = particle_grid::locate(grid, x[0], x[1], x[2]);
   const int tile = particle_grid::listed_tile(at, p, particles.n);
-  // Nothing waits for the answer until the record is written: the stress hides it.
-  const int slot = tile >= 0 ? atomicAdd(next + tile, 1) : -1;
-  // What the stress does not need waits in the lane's own rows: registers decide how many warps are resident.
+  // Nothing waits for the slot until the record is written: the stress hides it.
+  int slot = p < particles.n ? __ldcs(slots + p) : particle_grid::kNoSlot;
+  if (slot < 0 && tile >= 0) slot = atomicAdd(next + tile, 1);
+    // What the stress does not need waits in the lane's own rows: registers decide how many warps are
+    // resident.
 #pragma unroll
   for (int d = 0; d < 3; ++d) stage[lane * 3 + d] = at.offset[d];
   stage_rows(stage + 32 * 3, v);
@@ -432,12 +438,16 @@ class Reference {
   void allocate(const Inputs& in, const Outputs<float>& out) {
     const std::int64_t n = in.x.shape[0];
     const TileGrid grid = grid_of(in, out);
-    bins_ = particle_grid::Binning(grid, n, Policy::piece);
-    records_ = DeviceBuffer<float4>(static_cast<std::size_t>(kStride * n));
-    accumulators_ = DeviceBuffer<float4>(static_cast<std::size_t>(grid.tile_count()) * kTileNodes);
-    int device = 0, processors = 0, resident = 0;
+    int device = 0, processors = 0, resident = 0, shared = 0;
     GPUPHYS_CUDA(cudaGetDevice(&device));
     GPUPHYS_CUDA(cudaDeviceGetAttribute(&processors, cudaDevAttrMultiProcessorCount, device));
+    GPUPHYS_CUDA(cudaDeviceGetAttribute(&shared, cudaDevAttrMaxSharedMemoryPerBlockOptin, device));
+    shared -= 1024;  // for what count_particles() declares by itself
+    bins_ = particle_grid::Binning(grid, n, Policy::piece, static_cast<std::size_t>(shared), processors);
+    GPUPHYS_CUDA(cudaFuncSetAttribute(count, cudaFuncAttributeMaxDynamicSharedMemorySize, shared));
+    GPUPHYS_CUDA(cudaFuncSetAttribute(assign, cudaFuncAttributeMaxDynamicSharedMemorySize, shared));
+    records_ = DeviceBuffer<float4>(static_cast<std::size_t>(kStride * n));
+    accumulators_ = DeviceBuffer<float4>(static_cast<std::size_t>(grid.tile_count()) * kTileNodes);
     GPUPHYS_CUDA(cudaFuncSetAttribute(scatter, cudaFuncAttributeMaxDynamicSharedMemorySize,
                                       static_cast<int>(sizeof(ScatterShared))));
     GPUPHYS_CUDA(cudaFuncSetAttribute(scatter, cudaFuncAttributePreferredSharedMemoryCarveout,
@@ -450,22 +460,26 @@ class Reference {
   void compute(const Inputs& in, const Outputs<float>& out) {
     const std::int64_t n = in.x.shape[0];
     const TileGrid grid = grid_of(in, out);
-    const BinningView bins = bins_.view();
+    const BinningView& bins = bins_.view();
     const auto blocks = [](std::int64_t items, int per_block) {
       return static_cast<unsigned>(std::max<std::int64_t>(1, (items + per_block - 1) / per_block));
     };
     bins_.clear();
-    constexpr int per_block = Policy::count_threads * Policy::count_per_thread;
-    particle_grid::count_particles<Policy::count_threads, Policy::count_per_thread>
-        <<<blocks(n, per_block), Policy::count_threads>>>(grid, in.x.data, n, bins.counts);
+    const auto parts = static_cast<unsigned>(bins.parts);
+    particle_grid::mark_tiles<Policy::mark_threads, Policy::mark_stride>
+        <<<blocks(n, Policy::mark_threads * Policy::mark_stride), Policy::mark_threads>>>(grid, bins,
+                                                                                          in.x.data, n);
+    count<<<parts, Policy::count_threads, particle_grid::count_shared_bytes(bins)>>>(grid, bins, in.x.data,
+                                                                                     n);
     particle_grid::plan_tiles<Policy::plan_threads>
         <<<blocks(grid.tile_count(), Policy::plan_threads), Policy::plan_threads>>>(grid, bins, Policy::piece,
                                                                                     accumulators_.get());
+    assign<<<parts, Policy::count_threads, sizeof(int) * static_cast<std::size_t>(bins.indexed)>>>(bins, n);
     const Particles particles{in.x.data, in.v.data, in.F.data, n};
     const float impulse = -in.dt * (in.V0 / in.mass_p) / in.dx;
     const Moduli moduli{2.0f * in.mu * impulse, in.lambda * impulse};
-    place<<<blocks(n, Policy::place_threads), Policy::place_threads>>>(grid, particles, moduli, bins.next,
-                                                                       records_.get());
+    place<<<blocks(n, Policy::place_threads), Policy::place_threads>>>(grid, particles, moduli, bins.slots,
+                                                                       bins.next, records_.get());
     scatter<<<static_cast<unsigned>(scatter_blocks_), kScatterThreads, sizeof(ScatterShared)>>>(
         grid, bins.items, bins.cursors + 1, records_.get(), accumulators_.get());
     const std::int64_t columns = static_cast<std::int64_t>(grid.tiles[0]) * grid.nodes[1] * grid.nodes[2];
@@ -474,6 +488,10 @@ class Reference {
   }
 
  private:
+  static constexpr auto count =
+      particle_grid::count_particles<Policy::count_threads, Policy::count_per_thread>;
+  static constexpr auto assign = particle_grid::assign_slots<Policy::count_threads>;
+
   static TileGrid grid_of(const Inputs& in, const Outputs<float>& out) {
     return particle_grid::make_tile_grid(out.ux.shape[0], out.ux.shape[1], out.ux.shape[2], in.dx);
   }
