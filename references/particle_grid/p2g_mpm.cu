@@ -94,11 +94,14 @@ template <int Width>
 __device__ __forceinline__ void load_rows(const float* __restrict__ rows, std::int64_t first, std::int64_t n,
                                           float (&in_flight)[Width]) {
   const int lane = static_cast<int>(threadIdx.x) % 32;
-  const std::int64_t begin = Width * first, end = Width * n;
+  const float* from = rows + Width * first + lane;
+  if (first + 32 <= n) {
 #pragma unroll
-  for (int s = 0; s < Width; ++s) {
-    const std::int64_t i = begin + s * 32 + lane;
-    in_flight[s] = i < end ? __ldcs(rows + i) : 0.0f;
+    for (int s = 0; s < Width; ++s) in_flight[s] = __ldcs(from + s * 32);
+  } else {
+    const std::int64_t left = Width * (n - first) - lane;
+#pragma unroll
+    for (int s = 0; s < Width; ++s) in_flight[s] = s * 32 < left ? __ldcs(from + s * 32) : 0.0f;
   }
 }
 
@@ -129,6 +132,7 @@ __global__ void __launch_bounds__(Policy::place_threads, Policy::place_blocks_pe
   const int lane = static_cast<int>(threadIdx.x) % 32;
   const std::int64_t p = static_cast<std::int64_t>(blockIdx.x) * Policy::place_threads + threadIdx.x;
   const std::int64_t first = p - lane;
+  int slot = p < particles.n ? __ldcs(slots + p) : particle_grid::kNoSlot;
   float x[3], v[3], f[9];
   load_rows(particles.x, first, particles.n, x);
   load_rows(particles.v, first, particles.n, v);
@@ -136,8 +140,7 @@ __global__ void __launch_bounds__(Policy::place_threads, Policy::place_blocks_pe
   transpose_rows(stage, x);
   const particle_grid::Place at = particle_grid::locate(grid, x[0], x[1], x[2]);
   const int tile = particle_grid::listed_tile(at, p, particles.n);
-  // Nothing waits for the slot until the record is written: the stress hides it.
-  int slot = p < particles.n ? __ldcs(slots + p) : particle_grid::kNoSlot;
+  // Rare: nothing waits for the answer until the record is written.
   if (slot < 0 && tile >= 0) slot = atomicAdd(next + tile, 1);
     // What the stress does not need waits in the lane's own rows: registers decide how many warps are
     // resident.

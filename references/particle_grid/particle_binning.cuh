@@ -14,6 +14,7 @@
 #include <cuda_runtime.h>
 
 #include <algorithm>
+#include <cmath>
 #include <cstddef>
 #include <cstdint>
 #include <stdexcept>
@@ -30,6 +31,7 @@ struct TileGrid {
   int nodes[3];  ///< of the array
   int tiles[3];
   float dx;
+  float inverse_dx;  ///< of a power of two, whose products are the quotients by dx; else 0
 
   __host__ __device__ int tile_count() const { return tiles[0] * tiles[1] * tiles[2]; }
   __device__ __forceinline__ int tile(int x, int y, int z) const { return (x * tiles[1] + y) * tiles[2] + z; }
@@ -50,6 +52,9 @@ inline TileGrid make_tile_grid(std::int64_t nx, std::int64_t ny, std::int64_t nz
   if (nodes >= 2147483648.0)
     throw std::runtime_error("the array must have fewer than 2^31 nodes in whole tiles");
   g.dx = dx;
+  int exponent = 0;
+  const bool power_of_two = std::frexp(dx, &exponent) == 0.5f && std::abs(exponent) < 100;
+  g.inverse_dx = power_of_two ? 1.0f / dx : 0.0f;
   return g;
 }
 
@@ -60,13 +65,21 @@ struct Place {
 
 __device__ __forceinline__ Place locate(const TileGrid& g, float x, float y, float z) {
   const float position[3] = {x, y, z};
+  // Quotients, rounded alike in all passes over the particles: an inexact product could be fused differently.
+  float in_cells[3];
+  if (g.inverse_dx != 0.0f) {
+#pragma unroll
+    for (int d = 0; d < 3; ++d) in_cells[d] = position[d] * g.inverse_dx;
+  } else {
+#pragma unroll
+    for (int d = 0; d < 3; ++d) in_cells[d] = position[d] / g.dx;
+  }
   Place p;
   int tile[3];
   bool reaches = true;
 #pragma unroll
   for (int d = 0; d < 3; ++d) {
-    // A division, so that both passes over the particles round alike: a product could be fused differently.
-    const float cells = position[d] / g.dx;
+    const float cells = in_cells[d];
     const float base = floorf(cells - 0.5f);
     const bool ok = base >= -2.0f && base <= static_cast<float>(g.nodes[d] - 1);
     reaches = reaches && ok;
