@@ -61,21 +61,18 @@ struct Policy {
   static constexpr int place_blocks_per_sm = 9;  // 36 warps in 56 registers; ten blocks spill
   static constexpr int piece =
       576;  // particles of a tile that a block takes: eight a cell, and room for chance
-  static constexpr int scatter_blocks_per_sm = 4;
+  static constexpr int scatter_blocks_per_sm = 6;
 #endif
   static constexpr int normalise_threads = 256;
 };
 
-constexpr int kPlanes = 3;                                 // nodes a particle reaches along an axis
-constexpr int kSide = kTileSide + kPlanes - 1;             // nodes of a tile with its halo
+constexpr int kReach = 3;                                  // nodes a particle reaches along an axis
+constexpr int kSide = kTileSide + kReach - 1;              // nodes of a tile with its halo
 constexpr int kCells = kTileSide * kTileSide * kTileSide;  // of a tile
-constexpr int kColumns = kTileSide * kTileSide * kPlanes;  // (cell x, cell y, plane)
-constexpr int kScatterThreads = kColumns * kTileSide;      // one for each cell of each column
-constexpr int kRecord = 3;                                 // float4 a particle
-constexpr int kStride = 4;                                 // the same in memory: two whole sectors
+constexpr int kScatterThreads = kCells;
+constexpr int kRecord = 3;  // float4 a particle
+constexpr int kStride = 4;  // the same in memory: two whole sectors
 constexpr int kRounds = (Policy::piece + kScatterThreads - 1) / kScatterThreads;
-constexpr int kWarpColumns = 32 / kTileSide;
-static_assert(kColumns % kWarpColumns == 0, "shuffles need whole columns in a warp");
 
 struct Particles {
   const float* __restrict__ x;
@@ -175,62 +172,60 @@ __global__ void __launch_bounds__(Policy::place_threads, Policy::place_blocks_pe
   }
 }
 
-constexpr int kFetchRecords = kScatterThreads / kRecord;  // that the block's threads fetch at once
-constexpr int kFetches = (Policy::piece + kFetchRecords - 1) / kFetchRecords;
-static_assert(kScatterThreads % kRecord == 0);
-
-// Sums of the cell columns: [node along y, of the cell's three][node along z, of the tile's six][column].
-constexpr int kPlaneColumns = kColumns + 1;  // padded: nodes along z lie in different banks
-constexpr int kRowSums = kSide * kPlaneColumns;
-
-// Memory for the list of a piece; later the sums of the cell columns.
-struct ListMemory {
-  float4 data[std::max(kRecord * Policy::piece, kPlanes* kRowSums)];
-};
+// Sums of the cells' y-z-rows: [node plane along x, of the cell's three][cell along x][node along y][z].
+constexpr int kRowNodes = kSide * kSide;
+constexpr int kRows = kReach * kTileSide;
 
 struct ScatterShared {
-  ListMemory lists[2];  // one in work, one on its way
+  float4 list[kRecord * Policy::piece];
+  float4 sums[kRows * kRowNodes];
   int counts[kCells];
   int starts[kCells + 1];
   unsigned short order[Policy::piece];
 };
 
-// Sums of one thread: nine nodes, {mass, momentum}, mass in units of a particle's. While particles are being
-// added, index 1 of y and z stands for the sum over the three nodes along that axis: three weights add up to
-// 1 and three slopes to 0, so that it takes no weight. resolve() leaves the middle node there. No digits
-// matter: the middle weight is 1/2 to 3/4 of the three.
+// Sums of one thread: the 27 nodes of its cell, {mass, momentum}, mass in units of a particle's. While
+// particles are being added, index 1 stands for the sum over the three nodes along that axis: three weights
+// add up to 1 and three slopes to 0, so that it takes no weight. resolve() leaves the middle node there. No
+// digits matter: the middle weight is 1/2 to 3/4 of the three.
 struct Sums {
-  float s[kPlanes][kPlanes][4];  // [node along y][node along z]
+  float s[kReach][kReach][kReach][4];  // [node along x][y][z]
 };
 
-__device__ __forceinline__ void add_particle(Sums& sums, const bspline::Branch& branch,
-                                             const float (&centre)[3], const float4& a, const float4& b,
-                                             const float4& c) {
-  float wx, slope_x;
-  bspline::evaluate(branch, a.x - centre[0], wx, slope_x);
-  const bspline::Weights y = bspline::quadratic(a.y - centre[1]), z = bspline::quadratic(a.z - centre[2]);
+__device__ __forceinline__ void add_particle(Sums& sums, const float (&centre)[3], const float4& a,
+                                             const float4& b, const float4& c) {
+  const bspline::Weights x = bspline::quadratic(a.x - centre[0]), y = bspline::quadratic(a.y - centre[1]),
+                         z = bspline::quadratic(a.z - centre[2]);
   const float velocity[3] = {a.w, b.x, b.y};
   const float tau[3][3] = {{b.z, c.y, c.z}, {c.y, b.w, c.w}, {c.z, c.w, c.x}};
 #pragma unroll
-  for (int oy = 0; oy < kPlanes; ++oy) {
-    const float wxy = oy == 1 ? wx : wx * y.w[oy];
-    sums.s[oy][0][0] += wxy * z.w[0];
-    sums.s[oy][1][0] += wxy;
-    sums.s[oy][2][0] += wxy * z.w[2];
+  for (int ox = 0; ox < kReach; ++ox) {
+    const float wx = ox == 1 ? 1.0f : x.w[ox];
+#pragma unroll
+    for (int oy = 0; oy < kReach; ++oy) {
+      const float wxy = oy == 1 ? wx : wx * y.w[oy];
+      sums.s[ox][oy][0][0] += wxy * z.w[0];
+      sums.s[ox][oy][1][0] += wxy;
+      sums.s[ox][oy][2][0] += wxy * z.w[2];
+    }
   }
 #pragma unroll
   for (int d = 0; d < 3; ++d) {
-    const float along_x = wx * velocity[d] + slope_x * tau[d][0];
-    const float along_y = wx * tau[d][1], along_z = wx * tau[d][2];
 #pragma unroll
-    for (int oy = 0; oy < kPlanes; ++oy) {
-      const float plain = oy == 1 ? along_x : y.w[oy] * along_x + y.slope[oy] * along_y;
-      const float sloped = oy == 1 ? along_z : y.w[oy] * along_z;
-      sums.s[oy][0][1 + d] += z.w[0] * plain;
-      sums.s[oy][0][1 + d] += z.slope[0] * sloped;
-      sums.s[oy][1][1 + d] += plain;
-      sums.s[oy][2][1 + d] += z.w[2] * plain;
-      sums.s[oy][2][1 + d] += z.slope[2] * sloped;
+    for (int ox = 0; ox < kReach; ++ox) {
+      const float along_x = ox == 1 ? velocity[d] : x.w[ox] * velocity[d] + x.slope[ox] * tau[d][0];
+      const float along_y = ox == 1 ? tau[d][1] : x.w[ox] * tau[d][1];
+      const float along_z = ox == 1 ? tau[d][2] : x.w[ox] * tau[d][2];
+#pragma unroll
+      for (int oy = 0; oy < kReach; ++oy) {
+        const float plain = oy == 1 ? along_x : y.w[oy] * along_x + y.slope[oy] * along_y;
+        const float sloped = oy == 1 ? along_z : y.w[oy] * along_z;
+        sums.s[ox][oy][0][1 + d] += z.w[0] * plain;
+        sums.s[ox][oy][0][1 + d] += z.slope[0] * sloped;
+        sums.s[ox][oy][1][1 + d] += plain;
+        sums.s[ox][oy][2][1 + d] += z.w[2] * plain;
+        sums.s[ox][oy][2][1 + d] += z.slope[2] * sloped;
+      }
     }
   }
 }
@@ -239,9 +234,23 @@ __device__ __forceinline__ void resolve(Sums& sums) {
 #pragma unroll
   for (int q = 0; q < 4; ++q) {
 #pragma unroll
-    for (int oy = 0; oy < kPlanes; ++oy) sums.s[oy][1][q] -= sums.s[oy][0][q] + sums.s[oy][2][q];
+    for (int one = 0; one < kReach; ++one) {
 #pragma unroll
-    for (int oz = 0; oz < kPlanes; ++oz) sums.s[1][oz][q] -= sums.s[0][oz][q] + sums.s[2][oz][q];
+      for (int two = 0; two < kReach; ++two)
+        sums.s[one][two][1][q] -= sums.s[one][two][0][q] + sums.s[one][two][2][q];
+    }
+#pragma unroll
+    for (int one = 0; one < kReach; ++one) {
+#pragma unroll
+      for (int two = 0; two < kReach; ++two)
+        sums.s[one][1][two][q] -= sums.s[one][0][two][q] + sums.s[one][2][two][q];
+    }
+#pragma unroll
+    for (int one = 0; one < kReach; ++one) {
+#pragma unroll
+      for (int two = 0; two < kReach; ++two)
+        sums.s[1][one][two][q] -= sums.s[0][one][two][q] + sums.s[2][one][two][q];
+    }
   }
 }
 
@@ -251,33 +260,54 @@ __device__ __forceinline__ void copy_async(unsigned to_shared, const float4* fro
   asm volatile("cp.async.cg.shared.global [%0], [%1], 16;" : : "r"(to_shared), "l"(from) : "memory");
 }
 
-// Asks for the records of a piece: three threads a record, nothing of the padding.
-__device__ __forceinline__ void fetch(ListMemory& list, const float4* __restrict__ records, int first,
+// An address that the compiler cannot look into: it keeps it, and adds constants to it, where it would
+// compute each of many related ones anew.
+__device__ __forceinline__ unsigned opaque_shared(const float4* shared) {
+  unsigned address;
+  asm volatile("cvt.u32.u64 %0, %1;" : "=r"(address) : "l"(__cvta_generic_to_shared(shared)));
+  return address;
+}
+
+__device__ __forceinline__ const float4* opaque(const float4* from) {
+  const float4* address;
+  asm volatile("mov.u64 %0, %1;" : "=l"(address) : "l"(from));
+  return address;
+}
+
+// Asks for the records of a piece, nothing of the padding. As many records as threads take three copies each,
+// at addresses that differ from those of the records before by constants.
+__device__ __forceinline__ void fetch(ScatterShared& shared, const float4* __restrict__ records, int first,
                                       int count) {
   const int thread = static_cast<int>(threadIdx.x);
-  const int record = thread / kRecord, part = thread % kRecord;
-  const float4* from = records + static_cast<std::int64_t>(kStride) * (first + record) + part;
-  const auto to = static_cast<unsigned>(__cvta_generic_to_shared(list.data + thread));
+  const unsigned to = opaque_shared(shared.list + thread);
 #pragma unroll
-  for (int s = 0; s < kFetches; ++s) {
-    if (record + s * kFetchRecords < count)
-      copy_async(to + s * kScatterThreads * sizeof(float4), from + s * kStride * kFetchRecords);
+  for (int third = 0; third < kRecord; ++third) {
+    const int copy = thread + third * kScatterThreads;
+    const int record = copy / kRecord, part = copy % kRecord, left = count - record;
+    const float4* from = opaque(records + part + static_cast<std::int64_t>(first + record) * kStride);
+#pragma unroll
+    for (int s = 0; s < kRounds; ++s) {
+      if (s * kScatterThreads < left) {
+        copy_async(to + (kRecord * s + third) * kScatterThreads * sizeof(float4),
+                   from + s * kStride * kScatterThreads);
+      }
+    }
   }
   __pipeline_commit();
 }
 
 // Sorts the piece's records by cell: order[starts[cell] ..) lists them.
-__device__ __forceinline__ void sort_by_cell(ScatterShared& shared, const ListMemory& list, int count) {
+__device__ __forceinline__ void sort_by_cell(ScatterShared& shared, int count) {
   const int thread = static_cast<int>(threadIdx.x);
-  int cell[kRounds], rank[kRounds];
+  unsigned cell_and_rank[kRounds];
 #pragma unroll
   for (int s = 0; s < kRounds; ++s) {
     const int p = thread + s * kScatterThreads;
     if (p < count) {
-      const float4 a = list.data[kRecord * p];
-      cell[s] = (particle_grid::cell_of(a.x) * kTileSide + particle_grid::cell_of(a.y)) * kTileSide +
-                particle_grid::cell_of(a.z);
-      rank[s] = atomicAdd(&shared.counts[cell[s]], 1);
+      const float4 a = shared.list[kRecord * p];
+      const int cell = (particle_grid::cell_of(a.x) * kTileSide + particle_grid::cell_of(a.y)) * kTileSide +
+                       particle_grid::cell_of(a.z);
+      cell_and_rank[s] = static_cast<unsigned>(atomicAdd(&shared.counts[cell], 1) * kCells + cell);
     }
   }
   __syncthreads();
@@ -297,60 +327,78 @@ __device__ __forceinline__ void sort_by_cell(ScatterShared& shared, const ListMe
 #pragma unroll
   for (int s = 0; s < kRounds; ++s) {
     const int p = thread + s * kScatterThreads;
-    if (p < count) shared.order[shared.starts[cell[s]] + rank[s]] = static_cast<unsigned short>(p);
+    if (p < count) {
+      const unsigned cell = cell_and_rank[s] % kCells, rank = cell_and_rank[s] / kCells;
+      shared.order[shared.starts[cell] + rank] = static_cast<unsigned short>(p);
+    }
   }
   __syncthreads();
 }
 
-// Adds up a column's four cells (eight lanes apart) and leaves its six nodes in shared memory.
-__device__ __forceinline__ void store_columns(ListMemory& list, const Sums& sums, int column, int cell_z) {
+// Four cells side by side along an axis, `Lanes` apart, to their six nodes: part[0] becomes the lowest node
+// of the cell, in full; in the last cell, part[1] and part[2] become the two nodes above.
+template <int Lanes>
+__device__ __forceinline__ void add_along(int cell, float& low, float& middle, float& high) {
+  const float high_below = __shfl_up_sync(0xffffffffu, high, Lanes);
+  if (cell > 0) middle += high_below;
+  const float middle_below = __shfl_up_sync(0xffffffffu, middle, Lanes);
+  if (cell > 0) low += middle_below;
+}
+
+// Adds up the cells of each y-z-plane of the tile and leaves their nodes in shared memory. Along y cells are
+// one lane apart, along z eight.
+__device__ __forceinline__ void store_rows(ScatterShared& shared, Sums& sums, int cell_x, int cell_y,
+                                           int cell_z) {
 #pragma unroll
-  for (int oy = 0; oy < kPlanes; ++oy) {
-    float own[4], next[4];  // node cell_z, complete; node cell_z + 1 without the cell above's lowest plane
+  for (int ox = 0; ox < kReach; ++ox) {
 #pragma unroll
     for (int q = 0; q < 4; ++q) {
-      const float top_below = __shfl_up_sync(0xffffffffu, sums.s[oy][2][q], kWarpColumns);
-      next[q] = sums.s[oy][1][q] + (cell_z > 0 ? top_below : 0.0f);
-      const float next_below = __shfl_up_sync(0xffffffffu, next[q], kWarpColumns);
-      own[q] = sums.s[oy][0][q] + (cell_z > 0 ? next_below : 0.0f);
+#pragma unroll
+      for (int oy = 0; oy < kReach; ++oy)
+        add_along<8>(cell_z, sums.s[ox][oy][0][q], sums.s[ox][oy][1][q], sums.s[ox][oy][2][q]);
+#pragma unroll
+      for (int oz = 0; oz < kReach; ++oz)
+        add_along<1>(cell_y, sums.s[ox][0][oz][q], sums.s[ox][1][oz][q], sums.s[ox][2][oz][q]);
     }
-    float4* nodes = list.data + oy * kRowSums + cell_z * kPlaneColumns + column;
-    nodes[0] = make_float4(own[0], own[1], own[2], own[3]);
-    if (cell_z == kTileSide - 1) {
-      nodes[kPlaneColumns] = make_float4(next[0], next[1], next[2], next[3]);
-      nodes[2 * kPlaneColumns] =
-          make_float4(sums.s[oy][2][0], sums.s[oy][2][1], sums.s[oy][2][2], sums.s[oy][2][3]);
+    float4* nodes = shared.sums + (ox * kTileSide + cell_x) * kRowNodes + cell_y * kSide + cell_z;
+#pragma unroll
+    for (int oy = 0; oy < kReach; ++oy) {
+#pragma unroll
+      for (int oz = 0; oz < kReach; ++oz) {
+        if ((oy > 0 && cell_y != kTileSide - 1) || (oz > 0 && cell_z != kTileSide - 1)) continue;
+        const float(&node)[4] = sums.s[ox][oy][oz];
+        nodes[oy * kSide + oz] = make_float4(node[0], node[1], node[2], node[3]);
+      }
     }
   }
 }
 
-// Adds up the columns that reach each node of the tile and its halo, and adds the node to the grid.
-__device__ __forceinline__ void flush_nodes(const ListMemory& list, const TileGrid& grid, const int4& tile,
-                                            float4* __restrict__ accumulators) {
+// Adds up the planes that meet in each node of the tile and its halo, and adds the node to the grid.
+__device__ __forceinline__ void flush_nodes(const ScatterShared& shared, const TileGrid& grid,
+                                            const int4& tile, float4* __restrict__ accumulators) {
   for (int node = static_cast<int>(threadIdx.x); node < kSide * kSide * kSide; node += kScatterThreads) {
-    const int x = node / (kSide * kSide), y = node / kSide % kSide, z = node % kSide;
-    const float4* base = list.data + z * kPlaneColumns;
+    const unsigned at = static_cast<unsigned>(node);
+    const unsigned x = at / kRowNodes, y = at / kSide % kSide, z = at % kSide;
     float4 sum = make_float4(0.0f, 0.0f, 0.0f, 0.0f);
 #pragma unroll
-    for (int ox = 0; ox < kPlanes; ++ox) {
-#pragma unroll
-      for (int oy = 0; oy < kPlanes; ++oy) {
-        const int cx = x - ox, cy = y - oy;
-        if (cx < 0 || cx >= kTileSide || cy < 0 || cy >= kTileSide) continue;
-        const int column = (cx * kTileSide + cy) * kPlanes + ox;
-        const float4 part = base[oy * kRowSums + column];
-        sum.x += part.x;
-        sum.y += part.y;
-        sum.z += part.z;
-        sum.w += part.w;
-      }
+    for (unsigned ox = 0; ox < kReach; ++ox) {
+      if (x - ox >= kTileSide) continue;  // the cell along x
+      // Node x of the tile in plane ox of cell x - ox: (ox * kTileSide + x - ox) rows of nodes on.
+      const float4 part = shared.sums[at + ox * (kTileSide - 1) * kRowNodes];
+      sum.x += part.x;
+      sum.y += part.y;
+      sum.z += part.z;
+      sum.w += part.w;
     }
     if (!(sum.x > 0.0f)) continue;
-    const int i = kTileSide * tile.x - 2 + x, j = kTileSide * tile.y - 2 + y, k = kTileSide * tile.z - 2 + z;
-    if (i < 0 || i >= grid.nodes[0] || j < 0 || j >= grid.nodes[1] || k < 0 || k >= grid.nodes[2]) continue;
-    const int block = grid.tile(tile.x + x / kTileSide, tile.y + y / kTileSide, tile.z + z / kTileSide);
-    const int local = (x % kTileSide * kTileSide + y % kTileSide) * kTileSide + z % kTileSide;
-    particle_grid::reduce_add(accumulators + static_cast<std::size_t>(block) * kTileNodes + local, sum);
+    // A node outside the array has a place in its block all the same, unless the block is missing too.
+    const int block_x = tile.x + static_cast<int>(x / kTileSide),
+              block_y = tile.y + static_cast<int>(y / kTileSide),
+              block_z = tile.z + static_cast<int>(z / kTileSide);
+    if (block_x >= grid.tiles[0] || block_y >= grid.tiles[1] || block_z >= grid.tiles[2]) continue;
+    const auto block = static_cast<unsigned>(grid.tile(block_x, block_y, block_z));
+    const unsigned local = (x % kTileSide * kTileSide + y % kTileSide) * kTileSide + z % kTileSide;
+    particle_grid::reduce_add(accumulators + (static_cast<std::size_t>(block) * kTileNodes + local), sum);
   }
 }
 
@@ -361,42 +409,38 @@ __global__ void __launch_bounds__(kScatterThreads, Policy::scatter_blocks_per_sm
   extern __shared__ float4 memory[];
   ScatterShared& shared = *reinterpret_cast<ScatterShared*>(memory);
   const int thread = static_cast<int>(threadIdx.x);
-  // Neighbouring lanes share cells, three planes each: they read the same records.
-  const int cell_z = thread % 32 / kWarpColumns, column = thread / 32 * kWarpColumns + thread % kWarpColumns;
-  const int plane = column % kPlanes, cell_xy = column / kPlanes;
-  const int cell = cell_xy * kTileSide + cell_z;
-  const bspline::Branch branch = bspline::quadratic_branch(plane);
+  const int cell_y = thread % 4, cell_x = thread / 32 * 2 + thread / 4 % 2, cell_z = thread / 8 % 4;
+  const int cell = (cell_x * kTileSide + cell_y) * kTileSide + cell_z;
   // The middle node of the cell's three, from the tile's first.
-  const float centre[3] = {static_cast<float>(cell_xy / kTileSide + 1),
-                           static_cast<float>(cell_xy % kTileSide + 1), static_cast<float>(cell_z + 1)};
+  const float centre[3] = {static_cast<float>(cell_x + 1), static_cast<float>(cell_y + 1),
+                           static_cast<float>(cell_z + 1)};
   const int n_items = *item_count, step = static_cast<int>(gridDim.x);
   int i = static_cast<int>(blockIdx.x);
   if (i >= n_items) return;
   int count = items[i].count;
-  fetch(shared.lists[0], records, items[i].first, count);
-  for (int buffer = 0;; buffer ^= 1) {
-    ListMemory& list = shared.lists[buffer];
-    if (thread < kCells) shared.counts[thread] = 0;
+  fetch(shared, records, items[i].first, count);
+  for (;;) {
+    shared.counts[thread] = 0;
     const int next = i + step;
     const int next_first = next < n_items ? items[next].first : 0;
     const int next_count = next < n_items ? items[next].count : 0;
     __pipeline_wait_prior(0);
-    __syncthreads();  // the list is there, and the other list's sums are read
-    sort_by_cell(shared, list, count);
-    fetch(shared.lists[buffer ^ 1], records, next_first, next_count);
+    __syncthreads();  // the list is there
+    sort_by_cell(shared, count);
 
     Sums sums{};
     const int last = shared.starts[cell + 1];
     for (int q = shared.starts[cell]; q < last; ++q) {
-      const float4* record = list.data + kRecord * shared.order[q];
-      add_particle(sums, branch, centre, record[0], record[1], record[2]);
+      const float4* record = shared.list + kRecord * shared.order[q];
+      add_particle(sums, centre, record[0], record[1], record[2]);
     }
     const int4 tile = items[i].tile;
+    __syncthreads();  // the list is read, and the sums before
+    fetch(shared, records, next_first, next_count);
     resolve(sums);
-    __syncthreads();  // the list is read: its memory takes the sums
-    store_columns(list, sums, column, cell_z);
+    store_rows(shared, sums, cell_x, cell_y, cell_z);
     __syncthreads();
-    flush_nodes(list, grid, tile, accumulators);
+    flush_nodes(shared, grid, tile, accumulators);
     if (next >= n_items) break;
     i = next;
     count = next_count;

@@ -92,7 +92,7 @@ __device__ __forceinline__ Place locate(const TileGrid& g, float x, float y, flo
 
 /// Which of a tile's four cells along an axis an offset lies in. Rounding may put an offset on the upper end.
 __device__ __forceinline__ int cell_of(float offset) {
-  return min(max(static_cast<int>(offset - 0.5f), 0), kTileSide - 1);
+  return static_cast<int>(min(static_cast<unsigned>(offset - 0.5f), kTileSide - 1u));
 }
 
 /// *sum += value, 16 bytes in one reduction at L2 (sm_90). Spelled out, because atomicAdd(float4*) asks for
