@@ -402,10 +402,43 @@ __device__ __forceinline__ void flush_nodes(const ScatterShared& shared, const T
   }
 }
 
+struct Result {
+  float* __restrict__ u[3];
+};
+
+// Zeros where no block of particles reaches: row j of the node blocks tile_x, row = (tile_x, j).
+__device__ __forceinline__ void clear_row(const TileGrid& grid, const unsigned char* __restrict__ touched,
+                                          const Result& result, int row) {
+  const int tile_x = row / grid.nodes[1], j = row - tile_x * grid.nodes[1];
+  const unsigned char* blocks = touched + grid.tile(tile_x, (j + 2) / kTileSide, 0);
+  constexpr int at_once = 4;
+  const int first = max(kTileSide * tile_x - 2, 0), end = min(kTileSide * tile_x + 2, grid.nodes[0]);
+  for (int k = static_cast<int>(threadIdx.x); k < grid.nodes[2]; k += at_once * kScatterThreads) {
+    bool clear[at_once];
+#pragma unroll
+    for (int s = 0; s < at_once; ++s) {
+      const int node = k + s * kScatterThreads;
+      clear[s] = node < grid.nodes[2] && blocks[(node + 2) / kTileSide] == 0;
+    }
+#pragma unroll 1
+    for (int i = first; i < end; ++i) {
+      const std::int64_t at = (static_cast<std::int64_t>(i) * grid.nodes[1] + j) * grid.nodes[2] + k;
+#pragma unroll
+      for (int d = 0; d < 3; ++d) {
+#pragma unroll
+        for (int s = 0; s < at_once; ++s) {
+          if (clear[s]) __stcs(result.u[d] + at + s * kScatterThreads, 0.0f);
+        }
+      }
+    }
+  }
+}
+
 __global__ void __launch_bounds__(kScatterThreads, Policy::scatter_blocks_per_sm)
     scatter(const __grid_constant__ TileGrid grid, const WorkItem* __restrict__ items,
             const int* __restrict__ item_count, const float4* __restrict__ records,
-            float4* __restrict__ accumulators) {
+            float4* __restrict__ accumulators, const unsigned char* __restrict__ touched,
+            const __grid_constant__ Result result) {
   extern __shared__ float4 memory[];
   ScatterShared& shared = *reinterpret_cast<ScatterShared*>(memory);
   const int thread = static_cast<int>(threadIdx.x);
@@ -415,15 +448,19 @@ __global__ void __launch_bounds__(kScatterThreads, Policy::scatter_blocks_per_sm
   const float centre[3] = {static_cast<float>(cell_x + 1), static_cast<float>(cell_y + 1),
                            static_cast<float>(cell_z + 1)};
   const int n_items = *item_count, step = static_cast<int>(gridDim.x);
+  const int rows = grid.tiles[0] * grid.nodes[1];
+  int row = static_cast<int>(blockIdx.x);
   int i = static_cast<int>(blockIdx.x);
-  if (i >= n_items) return;
-  int count = items[i].count;
-  fetch(shared, records, items[i].first, count);
-  for (;;) {
+  int count = i < n_items ? items[i].count : 0;
+  if (i < n_items) fetch(shared, records, items[i].first, count);
+  while (i < n_items) {
     shared.counts[thread] = 0;
     const int next = i + step;
     const int next_first = next < n_items ? items[next].first : 0;
     const int next_count = next < n_items ? items[next].count : 0;
+    // The list is on its way: time for the part of the array that no particle reaches.
+    if (row < rows) clear_row(grid, touched, result, row);
+    row += step;
     __pipeline_wait_prior(0);
     __syncthreads();  // the list is there
     sort_by_cell(shared, count);
@@ -441,15 +478,11 @@ __global__ void __launch_bounds__(kScatterThreads, Policy::scatter_blocks_per_sm
     store_rows(shared, sums, cell_x, cell_y, cell_z);
     __syncthreads();
     flush_nodes(shared, grid, tile, accumulators);
-    if (next >= n_items) break;
     i = next;
     count = next_count;
   }
+  for (; row < rows; row += step) clear_row(grid, touched, result, row);
 }
-
-struct Result {
-  float* __restrict__ u[3];
-};
 
 // One thread for node (j, k) of four consecutive planes i: the ones of a node block.
 __global__ void __launch_bounds__(Policy::normalise_threads)
@@ -463,11 +496,10 @@ __global__ void __launch_bounds__(Policy::normalise_threads)
   const int block = grid.tile(tile_x, (j + 2) / kTileSide, (k + 2) / kTileSide);
   const int local = (j + 2) % kTileSide * kTileSide + (k + 2) % kTileSide;
   const float4* nodes = accumulators + static_cast<std::size_t>(block) * kTileNodes + local;
-  const bool any = touched[block] != 0;
+  if (touched[block] == 0) return;  // scatter() left zeros
   float4 node[kTileSide];
 #pragma unroll
-  for (int s = 0; s < kTileSide; ++s)
-    node[s] = any ? __ldcs(nodes + s * kTileSide * kTileSide) : make_float4(0.0f, 0.0f, 0.0f, 0.0f);
+  for (int s = 0; s < kTileSide; ++s) node[s] = __ldcs(nodes + s * kTileSide * kTileSide);
 #pragma unroll
   for (int s = 0; s < kTileSide; ++s) {
     const int i = kTileSide * tile_x - 2 + s;
@@ -527,11 +559,12 @@ class Reference {
     const Moduli moduli{2.0f * in.mu * impulse, in.lambda * impulse};
     place<<<blocks(n, Policy::place_threads), Policy::place_threads>>>(grid, particles, moduli, bins.slots,
                                                                        bins.next, records_.get());
+    const Result result{{out.ux.data, out.uy.data, out.uz.data}};
     scatter<<<static_cast<unsigned>(scatter_blocks_), kScatterThreads, sizeof(ScatterShared)>>>(
-        grid, bins.items, bins.cursors + 1, records_.get(), accumulators_.get());
+        grid, bins.items, bins.cursors + 1, records_.get(), accumulators_.get(), bins.touched, result);
     const std::int64_t columns = static_cast<std::int64_t>(grid.tiles[0]) * grid.nodes[1] * grid.nodes[2];
     normalise<<<blocks(columns, Policy::normalise_threads), Policy::normalise_threads>>>(
-        grid, bins.touched, accumulators_.get(), Result{{out.ux.data, out.uy.data, out.uz.data}});
+        grid, bins.touched, accumulators_.get(), result);
   }
 
  private:
