@@ -4,27 +4,27 @@
 // corotated elasticity; 0 where no mass arrives.
 //
 // Passes over data in random order:
-//   count      a thread for four particles: position -> tile of 4^3 cells; an atomic counts it there
-//   plan       a thread a tile: reserves its slots, cuts its list into pieces, clears node blocks
-//   place      a thread a particle: an atomic takes a slot of its tile's list; stress from F; the packed
-//              record {offset 3, v 3, tau 6, padding 4} goes there, written by four lanes at once
-//   scatter    a block for a piece of a list: sorts it by cell in shared memory; a thread owns one cell and
-//              one of the three node planes along x and sums nine nodes' {mass, momentum} in registers;
-//              columns of cells are added up by shuffles, columns of the tile through shared memory; one
-//              vector reduction for each of the tile's 216 nodes goes out to L2
-//   normalise  a thread for four nodes: divides, writes zeros where no block reached
+//   mark, count, plan, assign   (particle_binning.cuh) a slot of its tile's list, of 4^3 cells, for each
+//              particle; lists cut into pieces, node blocks cleared
+//   place      a thread a particle: stress from F; the packed record {offset 3, v 3, tau 6, padding 4}
+//              goes to its slot, written by four lanes at once
+//   scatter    two warps for a piece of a list: sort it by cell in shared memory; a thread owns a cell and
+//              sums 27 nodes' {mass, momentum} in registers; cells side by side along y and z are added up
+//              by shuffles, along x through shared memory; one vector reduction for each of the tile's 216
+//              nodes goes out to L2. Between pieces: zeros where no particle reaches
+//   normalise  a thread for four nodes that some particle may reach: divides
 //
-// What bounds it (16.86M particles): atomics at L2 in count, some 55 G/s whatever their addresses, and
-// 0.20 GB; DRAM in place, 1.01 GB read and 1.08 GB written at random places; instructions (113 for each of a
-// particle's three planes, half as many again around them) and shared memory wavefronts in scatter, with
-// 1.08 GB read meanwhile; 201 MB written at the end.
+// What bounds it (16.86M particles): DRAM in count (0.24 GB), assign (0.10 GB) and place (1.08 GB read, 1.08
+// GB written at random places); in scatter instructions (271 a particle, some 170 more around them) nearly as
+// much as its 1.08 GB read and 0.18 GB written.
 //
-// What pays: a stress is computed once a particle in a pass that waits for memory anyway; the slots, asked
-// for before it, come meanwhile. A record is two whole sectors and leaves in one instruction: as three
-// 16-byte stores at random places, records kept DRAM busy with row changes (NOTES.md). The next piece's list
-// is on its way while the present one is summed. Summing in registers first leaves about 14 shared stores
-// and 8 loads a cell instead of 864 atomics; factoring the 27 weights (x outside, z inside), with the sum of
-// three nodes in place of the middle one, takes 10 multiply-adds and additions a node for all four sums.
+// What pays: no atomics at L2, 55 G/s whatever their addresses, for counts and slots. A stress near a
+// rotation takes no rotation (fixed_corotated.cuh). A record is two whole sectors and leaves in one
+// instruction: as three 16-byte stores at random places, records kept DRAM busy with row changes (NOTES.md).
+// The next piece's list is on its way while the present one's sums are added up. Summing in registers first
+// leaves some 30 shared accesses a cell instead of 864 atomics; factoring the 27 weights, with the sum of
+// three nodes in place of the middle one along each axis, takes 10 multiply-adds and additions a node and
+// particle for all four sums; one thread for all 27 nodes of a cell reads each record once.
 #include <cuda_pipeline.h>
 
 #include <algorithm>
@@ -335,8 +335,8 @@ __device__ __forceinline__ void sort_by_cell(ScatterShared& shared, int count) {
   __syncthreads();
 }
 
-// Four cells side by side along an axis, `Lanes` apart, to their six nodes: part[0] becomes the lowest node
-// of the cell, in full; in the last cell, part[1] and part[2] become the two nodes above.
+// Adds up four cells side by side along an axis, `Lanes` apart: `low` becomes the cell's lowest node, in
+// full; in the last of the cells, so do `middle` and `high`.
 template <int Lanes>
 __device__ __forceinline__ void add_along(int cell, float& low, float& middle, float& high) {
   const float high_below = __shfl_up_sync(0xffffffffu, high, Lanes);

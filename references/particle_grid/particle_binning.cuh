@@ -6,9 +6,21 @@
 // 4t+1, reaches the nodes 4t-2 .. 4t+3, and node block t holds the nodes 4t-2 .. 4t+1: a tile writes to its
 // own node block and to the seven with one more along some axes.
 //
-// No sort: one pass over the particles counts them, a later one takes the slots of their tiles' lists with an
-// atomic each, in whatever order it comes to them; and the lists lie in memory in whatever order the blocks
-// of plan_tiles() come to reserve them.
+// No sort. Each particle gets a slot of its tile's list, in four passes without an atomic at L2 for all but
+// a few:
+//   mark_tiles       one row of 32 particles in so many marks the tiles it finds
+//   count_particles  a block for a contiguous part of the particles, an SM each: numbers the marked tiles,
+//   looks
+//                    its particles' tiles up and counts them, all in shared memory
+//   plan_tiles       adds up the parts' counts, reserves slots, gives each part its first slot of each tile
+//   assign_slots     a block a part again: slots from counters in shared memory
+// and whoever writes the records reads the slots. Particles whose tile the sample missed, or for whose tile
+// shared memory had no counter, are counted at L2 and take their slots there. The lists lie in memory in
+// whatever order the blocks of plan_tiles() come to reserve them.
+//
+// Why the slots go through memory (4 bytes written and read) and not straight into the records: the writer of
+// the records goes through the particles in order, with all SMs in the same part of them at a time, so that
+// the records of a tile that are written together lie together.
 #pragma once
 
 #include <cuda_runtime.h>
