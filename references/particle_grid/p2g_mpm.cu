@@ -50,6 +50,7 @@ struct Policy {
 #ifdef GPUPHYS_OTHER_BLOCKS
   static constexpr int count_threads = 512;
   static constexpr int count_per_thread = 3;
+  static constexpr int count_shared = 128 * 1024;  // takes half the tiles of the paper's size
   static constexpr int place_threads = 256;
   static constexpr int place_blocks_per_sm = 4;
   static constexpr int piece = 320;
@@ -57,6 +58,7 @@ struct Policy {
 #else
   static constexpr int count_threads = 1024;  // a block an SM: its histogram fills shared memory
   static constexpr int count_per_thread = 4;
+  static constexpr int count_shared = 195 * 1024;  // leaves 60 KB of L1 to its loads
   static constexpr int place_threads = 128;
   static constexpr int place_blocks_per_sm = 9;  // 36 warps in 56 registers; ten blocks spill
   static constexpr int piece =
@@ -521,7 +523,7 @@ class Reference {
     GPUPHYS_CUDA(cudaGetDevice(&device));
     GPUPHYS_CUDA(cudaDeviceGetAttribute(&processors, cudaDevAttrMultiProcessorCount, device));
     GPUPHYS_CUDA(cudaDeviceGetAttribute(&shared, cudaDevAttrMaxSharedMemoryPerBlockOptin, device));
-    shared -= 1024;  // for what count_particles() declares by itself
+    shared = std::min(shared, Policy::count_shared) - 1024;  // for what the kernel declares by itself
     bins_ = particle_grid::Binning(grid, n, Policy::piece, static_cast<std::size_t>(shared), processors);
     GPUPHYS_CUDA(cudaFuncSetAttribute(count, cudaFuncAttributeMaxDynamicSharedMemorySize, shared));
     GPUPHYS_CUDA(cudaFuncSetAttribute(assign, cudaFuncAttributeMaxDynamicSharedMemorySize, shared));
