@@ -36,7 +36,13 @@ namespace {
 struct GridPolicy : neighbour_grid::DefaultPolicy {
   static constexpr int bounds_threads = 256;
   static constexpr int bounds_blocks = 96;
-  static constexpr int item_threads = 128;
+  static constexpr int split_threads = 128;
+  static constexpr int split_blocks = 40;
+  static constexpr int split_blocks_per_sm = 8;
+  static constexpr int bin_cells = 384;
+  static constexpr int bin_items = 352;
+  static constexpr int bin_threads = 128;
+  static constexpr int bin_blocks_per_sm = 8;
   static constexpr int z_cells = 1;
 };
 struct Policy {
@@ -119,6 +125,7 @@ struct Grains {
   const float* __restrict__ x;
   const float* __restrict__ v;
   const float* __restrict__ r;
+  Grain* __restrict__ split;
   Grain* __restrict__ records;
   unsigned* __restrict__ codes;
   int count;
@@ -133,10 +140,13 @@ struct Grains {
     return {make_float4(x[o], x[o + 1], x[o + 2], r[i]),
             make_float4(__ldcs(v + o), __ldcs(v + o + 1), __ldcs(v + o + 2), __int_as_float(i))};
   }
-  __device__ __forceinline__ void placed(const neighbour_grid::Grid& grid, int i, int slot,
+  __device__ __forceinline__ float3 position(const Grain& grain) const {
+    return {grain.sphere.x, grain.sphere.y, grain.sphere.z};
+  }
+  __device__ __forceinline__ void placed(const neighbour_grid::Grid& grid, int slot,
                                          const Grain& grain) const {
     codes[slot] = code_of(grid, grain.sphere);
-    if (i > 0) return;
+    if (slot > 0) return;
     for (int k = 0; k < Policy::at_once; ++k) codes[count + k] = 0;  // may be read, but are not grains
   }
 };
@@ -298,7 +308,8 @@ class Reference {
   void allocate(const Inputs& in, const Outputs<float>&) {
     const std::int64_t n = in.radius.shape[0];
     if (n > (1 << 30)) throw std::runtime_error("contact_dem: more than 2^30 grains");
-    grid_.allocate(n);
+    grid_.allocate<Grains>(n);
+    split_ = DeviceBuffer<Grain>(static_cast<std::size_t>(n));
     records_ = DeviceBuffer<Grain>(static_cast<std::size_t>(n));
     codes_ = DeviceBuffer<unsigned>(static_cast<std::size_t>(n) + Policy::at_once);
   }
@@ -307,14 +318,14 @@ class Reference {
     const int n = static_cast<int>(in.radius.shape[0]);
     if (n == 0) return;
     const auto blocks = [n](int threads) { return static_cast<unsigned>((n + threads - 1) / threads); };
-    grid_.build(Grains{in.x.data, in.v.data, in.radius.data, records_.get(), codes_.get(), n});
+    grid_.build(Grains{in.x.data, in.v.data, in.radius.data, split_.get(), records_.get(), codes_.get(), n});
     sum_contacts<<<blocks(Policy::threads), Policy::threads>>>(
         records_.get(), codes_.get(), grid_.grid(), grid_.start(), out.force.data, Law{in.kn, in.cn}, n);
   }
 
  private:
   neighbour_grid::NeighbourGrid<GridPolicy> grid_;
-  DeviceBuffer<Grain> records_;
+  DeviceBuffer<Grain> split_, records_;
   DeviceBuffer<unsigned> codes_;
 };
 
