@@ -86,36 +86,50 @@ __device__ __forceinline__ int cell_of(const Grid& grid, float3 p) {
          cell_along(grid, 2, p.z);
 }
 
-/// Calls visit(begin, end) for ranges of slots that hold every item within `cutoff` of `p` along each axis
-/// (and others). `p` need not be an item.
-template <class Visit>
+/// Columns of cells that visit_ranges() hands over at a time.
+constexpr int columns_at_a_time = 3;
+
+/// The slots [begin, end) of each; some may be empty.
+struct Ranges {
+  int begin[columns_at_a_time], end[columns_at_a_time];
+};
+
+/// Calls visit(Ranges) so that the ranges hold every item within `cutoff` of `p` along each axis (and
+/// others), each once; no range is longer than Longest. Calls prepare() before it fetches each. `p` need not
+/// be an item.
+template <int Longest, class Prepare, class Visit>
 __device__ __forceinline__ void visit_ranges(const Grid& grid, const int* __restrict__ start, float3 p,
-                                             float cutoff, Visit&& visit) {
+                                             float cutoff, Prepare&& prepare, Visit&& visit) {
   const int x0 = cell_along(grid, 0, p.x - cutoff), x1 = cell_along(grid, 0, p.x + cutoff);
   const int y0 = cell_along(grid, 1, p.y - cutoff), y1 = cell_along(grid, 1, p.y + cutoff);
   const int z0 = cell_along(grid, 2, p.z - cutoff), z1 = cell_along(grid, 2, p.z + cutoff);
   // Neighbours in the order of slots mostly share a column: they all begin one column before it, so that they
-  // are in the same column at any time and read the same cache lines, though some skip it. Columns are
-  // counted down to the last: `seen` of each axis are visited, `all` include those skipped.
-  const int seen_x = x1 - x0, all_x = max(seen_x, x1 - cell_along(grid, 0, p.x) + 1);
-  const int seen_y = y1 - y0, all_y = max(seen_y, y1 - cell_along(grid, 1, p.y) + 1);
-  const int width = z1 + 1 - z0, next_y = grid.cells[2], next_x = (grid.cells[1] - all_y) * next_y;
-  int ahead = ((x1 - all_x) * grid.cells[1] + y1 - all_y) * next_y + z0, begin = 0, end = 0;
-  const auto fetch = [&](int x, int y) {
-    begin = end = 0;
-    if (x > seen_x || y > seen_y) return;
-    begin = start[ahead];
-    end = start[ahead + width];
-  };
-  fetch(all_x, all_y);
-  for (int x = all_x; x >= 0; --x) {
-    for (int y = all_y; y >= 0; --y) {
-      // The next column's range is under way while this one is visited: the visit waits for memory once, not
-      // twice in a row.
-      const int first = begin, last = end;
-      ahead += y > 0 ? next_y : next_x;
-      if (y > 0 || x > 0) fetch(y > 0 ? x : x - 1, y > 0 ? y - 1 : all_y);
-      visit(first, last);
+  // are in the same column at any time and read the same cache lines, though some skip it.
+  const int first_x = min(x0, cell_along(grid, 0, p.x) - 1), first_y = min(y0, cell_along(grid, 1, p.y) - 1);
+  const int width = z1 + 1 - z0, next_y = grid.cells[2];
+  for (int x = first_x; x <= x1; ++x) {
+    for (int y = first_y; y <= y1; y += columns_at_a_time) {
+      bool again;
+      int skipped = 0;
+      do {
+        prepare();
+        again = false;
+        const int first = (x * grid.cells[1] + y) * next_y + z0;
+        Ranges ranges;
+#pragma unroll
+        for (int c = 0; c < columns_at_a_time; ++c) {
+          const bool seen = x >= x0 && y + c >= y0 && y + c <= y1;
+          // Loads without a condition take fewer instructions.
+          const unsigned from = seen ? static_cast<unsigned>(first + c * next_y) : 0u;
+          const unsigned to = seen ? static_cast<unsigned>(first + c * next_y + width) : 0u;
+          const int end = start[to];
+          ranges.begin[c] = min(start[from] + skipped, end);
+          ranges.end[c] = min(ranges.begin[c] + Longest, end);
+          again = again || ranges.end[c] < end;
+        }
+        visit(ranges);
+        skipped += Longest;
+      } while (again);
     }
   }
 }

@@ -48,6 +48,7 @@ struct GridPolicy : neighbour_grid::DefaultPolicy {
 struct Policy {
   static constexpr int threads = 64;
   static constexpr int at_once = 2;
+  static constexpr int more = 1;
   static constexpr int run = 4;
   static constexpr int queue = 3;
   static constexpr int blocks_per_sm = 16;
@@ -58,13 +59,20 @@ struct Policy {
   // Four columns of the paper's packing: its warps share what they read of the columns between.
   static constexpr int threads = 640;
   static constexpr int at_once = 6;  // candidates tested before the first look at a range's length
-  static constexpr int run = 8;      // and between two looks at the queue; at most 32
+  static constexpr int more = 3;     // and between two looks
+  static constexpr int run = 30;     // of one queue entry: at_once and a multiple of `more`; at most 32
   static constexpr int queue = 8;    // runs with hits a grain may have before they are evaluated in between
   static constexpr int blocks_per_sm = 2;
 };
 #endif
 
-// A grain, one sector. In the order of the cells.
+constexpr int columns = neighbour_grid::columns_at_a_time;
+static_assert(Policy::run <= 32 && (Policy::run - Policy::at_once) % Policy::more == 0);
+static_assert(Policy::queue >= columns && Policy::threads % 32 == 0);
+// Codes behind the last grain's: they may be read, but are not grains.
+constexpr int padding = Policy::at_once > Policy::more ? Policy::at_once : Policy::more;
+
+// A grain, one sector.
 struct alignas(32) Grain {
   float4 sphere;  // centre, radius
   float4 motion;  // velocity, index in the input as bits
@@ -147,7 +155,7 @@ struct Grains {
                                          const Grain& grain) const {
     codes[slot] = code_of(grid, grain.sphere);
     if (slot > 0) return;
-    for (int k = 0; k < Policy::at_once; ++k) codes[count + k] = 0;  // may be read, but are not grains
+    for (int k = 0; k < padding; ++k) codes[count + k] = 0;
   }
 };
 
@@ -204,6 +212,12 @@ __device__ __forceinline__ unsigned bit_or_none(int k) {
   return __funnelshift_lc(0u, 1u, static_cast<unsigned>(k));
 }
 
+// The compiler does not know that this is k.
+__device__ __forceinline__ int opaque(int k) {
+  asm volatile("" : "+r"(k));
+  return k;
+}
+
 __global__ void __launch_bounds__(Policy::threads, Policy::blocks_per_sm)
     sum_contacts(const Grain* __restrict__ records, const unsigned* __restrict__ codes,
                  const neighbour_grid::Grid* __restrict__ grid_in, const int* __restrict__ start,
@@ -216,20 +230,22 @@ __global__ void __launch_bounds__(Policy::threads, Policy::blocks_per_sm)
   int index = -1;
   if (slot < count) {
     const neighbour_grid::Grid& grid = *grid_in;
-    const float4 sphere = records[slot].sphere, motion = records[slot].motion;
+    const float4 sphere = records[slot].sphere;
     const unsigned probe = probe_of(grid, sphere);
     const int bound = code_bound(grid, sphere.w);
-    index = __float_as_int(motion.w);
-    // Runs of candidates with hits: the first slot, and a bit a hit. Entries thread, thread + threads, ... of
-    // the queue are this thread's own; `top` is the next free one.
+    // Candidates of a column with hits: the slot behind the last one, and a bit a hit. Entries thread, thread
+    // + threads, ... of the queue are this thread's own; `top` is the next free one.
     int2* const mine = queue + thread;
-    int2* top = mine;
+    int top = 0;
     const auto evaluate = [&]([[maybe_unused]] auto two_at_once) {
-      const int2* entry = mine;
+      // Loaded again, as the search has no registers to spare.
+      const Grain grain = records[opaque(slot)];
+      index = __float_as_int(grain.motion.w);
+      int entry = 0;
       int2 run{0, 0};
       const auto more = [&] {
         if (run.y == 0 && entry != top) {
-          run = *entry;
+          run = mine[entry];
           entry += Policy::threads;
         }
         return run.y != 0;
@@ -237,7 +253,7 @@ __global__ void __launch_bounds__(Policy::threads, Policy::blocks_per_sm)
       const auto take = [&] {
         const int bit = 31 - __clz(run.y);
         run.y ^= 1 << bit;
-        return run.x + bit;
+        return run.x - 1 - bit;
       };
       while (more()) {
         const int a = take();
@@ -245,47 +261,55 @@ __global__ void __launch_bounds__(Policy::threads, Policy::blocks_per_sm)
           // Half as many waits for records. A grain feels nothing from itself.
           const int b = more() ? take() : slot;
           const Grain first = records[a], second = records[b];
-          add_contact(force, sphere, motion, first.sphere, first.motion, law);
-          add_contact(force, sphere, motion, second.sphere, second.motion, law);
+          add_contact(force, grain.sphere, grain.motion, first.sphere, first.motion, law);
+          add_contact(force, grain.sphere, grain.motion, second.sphere, second.motion, law);
         } else {
           const Grain other = records[a];
-          add_contact(force, sphere, motion, other.sphere, other.motion, law);
+          add_contact(force, grain.sphere, grain.motion, other.sphere, other.motion, law);
         }
       }
-      top = mine;
+      top = 0;
     };
-    const auto touches = [&](unsigned code) {
+    // Shifts in whether a candidate may touch, as the lowest bit: the sign of a difference.
+    const auto test = [&](unsigned hits, unsigned code) {
       const int bytes = static_cast<int>(probe + code);
-      return __dp4a(bytes, bytes, 0) < bound;
+      return __funnelshift_l(static_cast<unsigned>(__dp4a(bytes, bytes, -bound)), hits, 1);
     };
-    const auto search = [&](int begin, int end) {
-      for (; begin < end; begin += Policy::run) {
-        const unsigned* __restrict__ const from = codes + begin;
-        const int length = end - begin;
-        unsigned hits = 0;
-        const auto test = [&](int k) {
-          if (touches(from[k])) hits |= 1u << k;
-        };
-        // Nearly every step is one that some lane of the warp needs. What lies behind the range is masked
-        // out.
+    const auto make_room = [&] {
+      if (top > (Policy::queue - columns) * Policy::threads) evaluate(std::false_type{});
+    };
+    const auto search = [&](const neighbour_grid::Ranges& ranges) {
+      // Nearly every step is one that some lane of the warp needs.
+      unsigned hits[columns];
 #pragma unroll
-        for (int k = 0; k < Policy::at_once; ++k) test(k);
+      for (int c = 0; c < columns; ++c) {
+        hits[c] = 0;
+        const unsigned* __restrict__ const from = codes + ranges.begin[c];
 #pragma unroll
-        for (int k = Policy::at_once; k < Policy::run; k += 2) {
-          if (k >= length) break;
-          test(k);
-          test(k + 1);
+        for (int k = 0; k < Policy::at_once; ++k) hits[c] = test(hits[c], from[k]);
+      }
+#pragma unroll
+      for (int c = 0; c < columns; ++c) {
+        const unsigned* __restrict__ const from = codes + ranges.begin[c];
+        const int length = ranges.end[c] - ranges.begin[c];
+        int tested = Policy::at_once;
+#pragma unroll 1
+        for (; tested < length; tested += Policy::more) {
+#pragma unroll
+          for (int k = 0; k < Policy::more; ++k) hits[c] = test(hits[c], from[tested + k]);
         }
-        const unsigned within = bit_or_none(length) - 1u, self = bit_or_none(slot - begin);
-        hits &= within & ~self;
-        *top = make_int2(begin, static_cast<int>(hits));
-        if (hits != 0) top += Policy::threads;
-        if (top == mine + Policy::queue * Policy::threads) evaluate(std::false_type{});
+        // What lies behind the range is shifted out. The lowest bit stands for the range's last slot.
+        hits[c] >>= tested - length;
+        // The grain itself is mostly in the middle one. Met elsewhere, it is a hit without a force.
+        if (c == columns / 2) hits[c] &= ~bit_or_none(ranges.end[c] - 1 - slot);
+        mine[top] = make_int2(ranges.end[c], static_cast<int>(hits[c]));
+        if (hits[c] != 0) top += Policy::threads;
       }
     };
     // Wider than any pair that passes the test: its sum of radii is rounded, and so is the squared distance.
     const float cutoff = (sphere.w + grid.largest) * 1.00001f;
-    neighbour_grid::visit_ranges(grid, start, {sphere.x, sphere.y, sphere.z}, cutoff, search);
+    neighbour_grid::visit_ranges<Policy::run>(grid, start, {sphere.x, sphere.y, sphere.z}, cutoff, make_room,
+                                              search);
     evaluate(std::true_type{});
   }
   // Lane l of the warp writes words l, l + 32 and l + 64 of the warp's 96: words of one grain side by side.
@@ -311,7 +335,7 @@ class Reference {
     grid_.allocate<Grains>(n);
     split_ = DeviceBuffer<Grain>(static_cast<std::size_t>(n));
     records_ = DeviceBuffer<Grain>(static_cast<std::size_t>(n));
-    codes_ = DeviceBuffer<unsigned>(static_cast<std::size_t>(n) + Policy::at_once);
+    codes_ = DeviceBuffer<unsigned>(static_cast<std::size_t>(n) + padding);
   }
 
   void compute(const Inputs& in, const Outputs<float>& out) {
