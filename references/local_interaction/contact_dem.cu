@@ -8,19 +8,21 @@
 // candidates of another column are a short run of codes. Every pair is evaluated twice, once from either
 // side, with bitwise opposite results: no atomics, and forces balance to the rounding of each sum.
 //
-// What bounds it: random sectors in L2 while sorting (an atomic, a start, a record and a code a grain); waits
-// for L1 and L2 while searching (with 40 warps an SM). A grain meets 8.2 columns of cells and 37 candidates
-// (cells of 1.2 x 1.2 x 0.6 against a reach of 1.15), of which 4.7 touch. What pays:
-// - Whole sectors: two lanes write one record in one instruction.
-// - Codes: a candidate costs one word instead of four (1.9 cache lines a load instead of about 7) and five
-//   instructions: load, add, dp4a, compare, set a bit. The test errs on the side of contact only and passes
-//   0.6 candidates a grain too many; the exact one in FP32 decides.
-// - Loads ahead: the range of the next column while one is searched, the records of two hits at a time.
+// What bounds it: the sort, memory (340 MB in and out, most of it records); the search, instructions and L1.
+// A grain meets 8.2 columns of cells and 37 candidates (cells of 1.2 x 1.2 x 0.6 against a reach of 1.15), of
+// which 4.7 touch. What pays:
+// - Sorting in two levels: atomics and partly written sectors stay in shared memory.
+// - Codes: a candidate costs one word instead of four (1.9 cache lines a load instead of about 7) and four
+//   instructions: load, add, dp4a, shift. The test errs on the side of contact only and passes 0.6 candidates
+//   a grain too many; the exact one in FP32 decides.
+// - Three columns at a time, and six candidates of each without a branch: their loads are under way together.
+//   Two more looks at longer ranges are all that a warp needs on average.
 // - Columns in step: all lanes start at the column before their own, needed or not, so that they read the
 //   same lines at the same time.
-// - Search and force apart: hits are queued in shared memory as bits, a run of candidates an entry, and the
-//   force (about 57 instructions) runs over the queues with most lanes busy: the longest of a warp's 32 holds
-//   6.4. Evaluated inside the search, nearly every candidate would drag its warp through the force.
+// - Search and force apart: hits are queued in shared memory as bits, a column an entry, and the force (about
+//   57 instructions) runs over the queues with most lanes busy: the longest of a warp's 32 holds 6.4.
+//   Evaluated inside the search, nearly every candidate would drag its warp through the force. Nor does the
+//   search keep what only the force needs in registers: they limit the warps of an SM.
 // The forces go back to the order of the input by scattered writes; three neighbouring lanes write the three
 // words of a grain, so that it costs one or two sectors instead of three requests.
 #include <type_traits>
@@ -53,6 +55,21 @@ struct Policy {
   static constexpr int queue = 3;
   static constexpr int blocks_per_sm = 16;
 };
+#elif defined(GPUPHYS_TRY)
+struct GridPolicy : neighbour_grid::DefaultPolicy {
+  static constexpr int bin_cells = 1536;
+  static constexpr int bin_items = 2432;
+  static constexpr int bin_threads = 768;
+  static constexpr int bin_blocks_per_sm = 2;
+};
+struct Policy {
+  static constexpr int threads = 512;
+  static constexpr int at_once = 6;
+  static constexpr int more = 3;
+  static constexpr int run = 30;
+  static constexpr int queue = 8;
+  static constexpr int blocks_per_sm = 3;
+};
 #else
 using GridPolicy = neighbour_grid::DefaultPolicy;
 struct Policy {
@@ -61,7 +78,7 @@ struct Policy {
   static constexpr int at_once = 6;  // candidates tested before the first look at a range's length
   static constexpr int more = 3;     // and between two looks
   static constexpr int run = 30;     // of one queue entry: at_once and a multiple of `more`; at most 32
-  static constexpr int queue = 8;    // runs with hits a grain may have before they are evaluated in between
+  static constexpr int queue = 8;  // columns with hits a grain may have before they are evaluated in between
   static constexpr int blocks_per_sm = 2;
 };
 #endif
