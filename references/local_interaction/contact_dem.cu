@@ -235,6 +235,27 @@ __device__ __forceinline__ int opaque(int k) {
   return k;
 }
 
+// Number of the highest bit set.
+__device__ __forceinline__ int highest_bit(int bits) {
+  int k;
+  asm("bfind.u32 %0, %1;" : "=r"(k) : "r"(bits));
+  return k;
+}
+
+// The queue by its address in shared memory, which the compiler would otherwise derive anew at every access,
+// and wait for. Volatile: in this order.
+__device__ __forceinline__ unsigned shared_address(const void* p) {
+  return static_cast<unsigned>(opaque(static_cast<int>(__cvta_generic_to_shared(p))));
+}
+__device__ __forceinline__ void store_shared(unsigned address, int2 entry) {
+  asm volatile("st.shared.v2.b32 [%0], {%1, %2};" ::"r"(address), "r"(entry.x), "r"(entry.y));
+}
+__device__ __forceinline__ int2 load_shared(unsigned address) {
+  int2 entry;
+  asm volatile("ld.shared.v2.b32 {%0, %1}, [%2];" : "=r"(entry.x), "=r"(entry.y) : "r"(address));
+  return entry;
+}
+
 __global__ void __launch_bounds__(Policy::threads, Policy::blocks_per_sm)
     sum_contacts(const Grain* __restrict__ records, const unsigned* __restrict__ codes,
                  const neighbour_grid::Grid* __restrict__ grid_in, const int* __restrict__ start,
@@ -252,23 +273,24 @@ __global__ void __launch_bounds__(Policy::threads, Policy::blocks_per_sm)
     const int bound = code_bound(grid, sphere.w);
     // Candidates of a column with hits: the slot behind the last one, and a bit a hit. Entries thread, thread
     // + threads, ... of the queue are this thread's own; `top` is the next free one.
-    int2* const mine = queue + thread;
-    int top = 0;
+    constexpr unsigned stride = Policy::threads * sizeof(int2);
+    const unsigned mine = shared_address(queue + thread);
+    unsigned top = 0;
     const auto evaluate = [&]([[maybe_unused]] auto two_at_once) {
       // Loaded again, as the search has no registers to spare.
       const Grain grain = records[opaque(slot)];
       index = __float_as_int(grain.motion.w);
-      int entry = 0;
+      unsigned entry = 0;
       int2 run{0, 0};
       const auto more = [&] {
         if (run.y == 0 && entry != top) {
-          run = mine[entry];
-          entry += Policy::threads;
+          run = load_shared(mine + entry);
+          entry += stride;
         }
         return run.y != 0;
       };
       const auto take = [&] {
-        const int bit = 31 - __clz(run.y);
+        const int bit = highest_bit(run.y);
         run.y ^= 1 << bit;
         return run.x - 1 - bit;
       };
@@ -293,7 +315,7 @@ __global__ void __launch_bounds__(Policy::threads, Policy::blocks_per_sm)
       return __funnelshift_l(static_cast<unsigned>(__dp4a(bytes, bytes, -bound)), hits, 1);
     };
     const auto make_room = [&] {
-      if (top > (Policy::queue - columns) * Policy::threads) evaluate(std::false_type{});
+      if (top > (Policy::queue - columns) * stride) evaluate(std::false_type{});
     };
     const auto search = [&](const neighbour_grid::Ranges& ranges) {
       // Nearly every step is one that some lane of the warp needs.
@@ -319,8 +341,8 @@ __global__ void __launch_bounds__(Policy::threads, Policy::blocks_per_sm)
         hits[c] >>= tested - length;
         // The grain itself is mostly in the middle one. Met elsewhere, it is a hit without a force.
         if (c == columns / 2) hits[c] &= ~bit_or_none(ranges.end[c] - 1 - slot);
-        mine[top] = make_int2(ranges.end[c], static_cast<int>(hits[c]));
-        if (hits[c] != 0) top += Policy::threads;
+        store_shared(mine + top, make_int2(ranges.end[c], static_cast<int>(hits[c])));
+        if (hits[c] != 0) top += stride;
       }
     };
     // Wider than any pair that passes the test: its sum of radii is rounded, and so is the squared distance.
