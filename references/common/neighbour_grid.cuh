@@ -8,8 +8,8 @@
 //                    sectors.
 //   3. split_items   the same blocks write their items' records to their bins.
 //   4. sort_bins     a block a bin: counts the bin's cells, writes their starts, and its records in order.
-//   All
-//                    in shared memory; a bin with more than `bin_items` goes through global memory instead.
+//                    All in shared memory; a bin with more than `bin_items` goes through global memory
+//                    instead.
 // Cells are contiguous along z, so that the cells [z0, z1] of one column are one range of slots:
 // [start[row + z0], start[row + z1 + 1]).
 //
@@ -26,9 +26,9 @@
 //   __device__ Record record(int i) const;         of item i
 //   __device__ float3 position(const Record&) const;   the same as of its item, bit by bit
 //   __device__ void placed(const Grid&, int slot, const Record&) const;   told what comes to each slot
-//   Record *split, *records;                       device memory for `count` of them each, aligned to 32
-//   bytes;
-//                                                  the second receives the result
+//   Record *split, *records;                       device memory for `count` of them each, aligned to
+//                                                  32 bytes; the second receives the result, the first is
+//                                                  scratch
 //
 // What bounds it: memory. Records are written twice and read once, and split_items writes them in runs of a
 // few, by sectors: neighbouring lanes write the words of one record in one instruction. A record of 32 or 64
