@@ -1,5 +1,9 @@
 # The tasks. This is the only list of them: everything else is derived from it.
+gpuphys_add_task(advect_rk1 grid_lattice)
 gpuphys_add_task(advect_rk2 grid_lattice)
+gpuphys_add_task(advect_rk3 grid_lattice)
+gpuphys_add_task(advect_rk4 grid_lattice)
+gpuphys_add_task(advect_mc grid_lattice)
 gpuphys_add_task(lbm_d3q19 grid_lattice)
 gpuphys_add_task(poisson_neumann global_solve)
 gpuphys_add_task(p2g_mpm particle_grid)
