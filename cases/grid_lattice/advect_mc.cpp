@@ -12,7 +12,7 @@ constexpr double kOff = 2e-5;  // of the component's rms: no rounding comes near
 // Faces limited by the samples on the other side of a plane are rare; a share of them is allowed for.
 Check faces_off(const std::string& array) {
   return {
-      array + "_faces_off",
+      array + "_local",
       CheckKind::local,
       array,
       fmt::format("share of faces that differ by more than {:g} rms", kOff),

@@ -28,6 +28,7 @@ struct Face {
   static constexpr Extent extent = faces == Faces::lower ? Extent::two_or_more : Extent::any;
   const Velocity& v;
   const Cell& cell;
+  Shared shared;  // with the cell before; for Faces::lower
   int i, j, k;
 
   /// Of the face, in the arrays of its component.
@@ -36,7 +37,7 @@ struct Face {
   /// `scale` times the velocity at the face itself.
   __device__ __forceinline__ Displacement start(float scale) const {
     if constexpr (faces == Faces::lower) {
-      return face_displacement<C>(v, cell, scale);
+      return face_displacement<C>(v, cell, shared, scale);
     } else {
       return travel(scale, {0.0f, 0.0f, 0.0f});
     }
@@ -131,7 +132,7 @@ struct SemiLagrangian {
 template <int C, class Action>
 __device__ __noinline__ void update_any_face(const Velocity& v, const Action& action, int i, int j, int k) {
   const Cell cell = make_cell(v, i, j, k);
-  const Face<C, Faces::any> face{v, cell, i, j, k};
+  const Face<C, Faces::any> face{v, cell, {}, i, j, k};
   action.store(face, action.update(face));
 }
 
@@ -182,10 +183,11 @@ __global__ void __launch_bounds__(Policy::threads, Policy::blocks_per_sm)
   if (k >= v.n[2] || j >= v.n[1]) return;
   const int begin = tile_x * Policy::march_x, end = min(begin + Policy::march_x, v.n[0]);
   Cell cell = make_cell(v, begin, j, k);
+  Shared shared = shared_with_last(v, cell);
   for (int i = begin; i < end; ++i) {
-    const Face<0, Faces::lower> face_x{v, cell, i, j, k};
-    const Face<1, Faces::lower> face_y{v, cell, i, j, k};
-    const Face<2, Faces::lower> face_z{v, cell, i, j, k};
+    const Face<0, Faces::lower> face_x{v, cell, shared, i, j, k};
+    const Face<1, Faces::lower> face_y{v, cell, shared, i, j, k};
+    const Face<2, Faces::lower> face_z{v, cell, shared, i, j, k};
     // All three before the first store: their chains of dependent gathers overlap.
     const auto x = action.update(face_x);
     const auto y = action.update(face_y);
@@ -193,6 +195,7 @@ __global__ void __launch_bounds__(Policy::threads, Policy::blocks_per_sm)
     action.store(face_x, x);
     action.store(face_y, y);
     action.store(face_z, z);
+    shared = shared_with_next(v, cell);
     advance(v, cell);
   }
 }

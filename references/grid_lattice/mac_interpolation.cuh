@@ -156,29 +156,53 @@ __device__ __forceinline__ Displacement velocity(const Velocity& v, const Cell& 
           sample<C, 2, extent>(v, cell, d)};
 }
 
+/// What the velocities at the lower faces of two cells that follow each other along x have in common: samples
+/// of ux in the plane between them, at the second cell and at its lower neighbours along y and z, and sums of
+/// the pairs of uy and uz on either side of the first cell's centre.
+struct Shared {
+  float ux, ux_y, ux_z, uy_pair, uz_pair;
+};
+__device__ __forceinline__ Shared load_shared(const Velocity& v, const Cell& cell, const float* ux,
+                                              const float* uy, const float* uz) {
+  return {__ldg(ux), __ldg(ux - cell.down[0][1]), __ldg(ux - cell.down[0][2]),
+          __ldg(uy) + __ldg(uy + v.extent(1, 2)), __ldg(uz) + __ldg(uz + 1)};
+}
+__device__ __forceinline__ Shared shared_with_last(const Velocity& v, const Cell& cell) {
+  return load_shared(v, cell, cell.at[0], cell.at[1] - cell.down[1][0], cell.at[2] - cell.down[2][0]);
+}
+/// The compiler finds these loads among those of the cell's faces.
+__device__ __forceinline__ Shared shared_with_next(const Velocity& v, const Cell& cell) {
+  return load_shared(v, cell, cell.at[0] + v.plane[0], cell.at[1], cell.at[2]);
+}
+
 /// Component E at the cell's lower face C itself: the sample when E = C; else four times the mean of the four
-/// samples around the face (the caller folds the quarter into its scale).
+/// samples around the face (the caller folds the quarter into its scale). `shared` is with the last cell.
 template <int C, int E>
-__device__ __forceinline__ float face_sum(const Velocity& v, const Cell& cell) {
+__device__ __forceinline__ float face_sum(const Velocity& v, const Cell& cell, const Shared& shared) {
+  // Along axis C the samples of E lie half a cell on either side of the face; along axis E likewise, the
+  // upper one always there because E has one more sample on that axis.
+  const float* p = cell.at[E];
+  const float* q = p - cell.down[E][C];
+  const int up = E == 2 ? 1 : E == 1 ? v.extent(E, 2) : v.plane[E];
   if constexpr (C == E) {
-    return __ldg(cell.at[E]);
+    return E == 0 ? shared.ux : __ldg(p);
+  } else if constexpr (E == 0) {
+    return (shared.ux + __ldg(p + up)) + ((C == 1 ? shared.ux_y : shared.ux_z) + __ldg(q + up));
+  } else if constexpr (C == 0) {
+    return (__ldg(p) + __ldg(p + up)) + (E == 1 ? shared.uy_pair : shared.uz_pair);
   } else {
-    // Along axis C the samples of E lie half a cell on either side of the face; along axis E likewise, the
-    // upper one always there because E has one more sample on that axis.
-    const float* p = cell.at[E];
-    const float* q = p - cell.down[E][C];
-    const int up = E == 2 ? 1 : E == 1 ? v.extent(E, 2) : v.plane[E];
     return (__ldg(p) + __ldg(p + up)) + (__ldg(q) + __ldg(q + up));
   }
 }
 
 /// `scale` times the velocity at the cell's lower face C.
 template <int C>
-__device__ __forceinline__ Displacement face_displacement(const Velocity& v, const Cell& cell, float scale) {
+__device__ __forceinline__ Displacement face_displacement(const Velocity& v, const Cell& cell,
+                                                          const Shared& shared, float scale) {
   const float quarter = 0.25f * scale;
-  return {(C == 0 ? scale : quarter) * face_sum<C, 0>(v, cell),
-          (C == 1 ? scale : quarter) * face_sum<C, 1>(v, cell),
-          (C == 2 ? scale : quarter) * face_sum<C, 2>(v, cell)};
+  return {(C == 0 ? scale : quarter) * face_sum<C, 0>(v, cell, shared),
+          (C == 1 ? scale : quarter) * face_sum<C, 1>(v, cell, shared),
+          (C == 2 ? scale : quarter) * face_sum<C, 2>(v, cell, shared)};
 }
 
 /// Offset of sample (i,j,k) in the arrays of component c.
