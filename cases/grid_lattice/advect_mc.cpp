@@ -11,21 +11,20 @@ constexpr double kOff = 2e-5;  // of the component's rms: no rounding comes near
 
 // Faces limited by the samples on the other side of a plane are rare; a share of them is allowed for.
 Check faces_off(const std::string& array) {
-  return {
-      array + "_local",
-      CheckKind::local,
-      array,
-      fmt::format("share of faces that differ by more than {:g} rms", kOff),
-      4e-6,
-      "a departure point is good to 4e-7 cells in float32 and three planes of samples are near it, so that "
-      "about 2e-6 of the faces may be limited by the samples beyond one; no rounding reaches the bound",
-      true,
-      [array](const Judged& j) {
-        const HostArray& got = find(j.outputs, array, "outputs");
-        Measured m = count_above(got, find(*j.truth, array, "truth"), kOff);
-        m.error /= static_cast<double>(got.size());
-        return m;
-      }};
+  return {array + "_local",
+          CheckKind::local,
+          array,
+          fmt::format("share of faces that differ by more than {:g} rms", kOff),
+          4e-6,
+          "a departure point is good to 4e-7 cells in float32 and three planes of samples are near it: "
+          "about 2e-6 of the faces may be limited by samples beyond one, and no rounding reaches the bound",
+          true,
+          [array](const Judged& j) {
+            const HostArray& got = find(j.outputs, array, "outputs");
+            Measured m = count_above(got, find(*j.truth, array, "truth"), kOff);
+            m.error /= static_cast<double>(got.size());
+            return m;
+          }};
 }
 
 }  // namespace
