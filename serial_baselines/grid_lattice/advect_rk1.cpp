@@ -5,18 +5,17 @@
 
 namespace gpuphys::advect_rk1 {
 
-template <class Real>
-class Baseline {
- public:
-  void allocate(const Inputs&, const Outputs<Real>&) {}
-
-  void compute(const Inputs& in, const Outputs<Real>& out) {
-    serial::advect<Real>(in, out, [](const auto& velocity, const serial::Point<Real>& face, Real step) {
-      const serial::Vector<Real> k1 = velocity.at(face);
-      return serial::moved(face, k1, -step);
-    });
+struct Trace {
+  template <class Real>
+  static serial::Point<Real> departure(const serial::MacField<Real>& velocity,
+                                       const serial::Point<Real>& face, Real step) {
+    const serial::Vector<Real> k1 = velocity.at(face);
+    return serial::moved(face, k1, -step);
   }
 };
+
+template <class Real>
+using Baseline = serial::SemiLagrangian<Real, Trace>;
 
 }  // namespace gpuphys::advect_rk1
 

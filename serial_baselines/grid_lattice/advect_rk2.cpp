@@ -5,17 +5,16 @@
 
 namespace gpuphys::advect_rk2 {
 
-template <class Real>
-class Baseline {
- public:
-  void allocate(const Inputs&, const Outputs<Real>&) {}
-
-  void compute(const Inputs& in, const Outputs<Real>& out) {
-    serial::advect<Real>(in, out, [](const auto& velocity, const serial::Point<Real>& face, Real step) {
-      return serial::midpoint_departure(velocity, face, step);
-    });
+struct Trace {
+  template <class Real>
+  static serial::Point<Real> departure(const serial::MacField<Real>& velocity,
+                                       const serial::Point<Real>& face, Real step) {
+    return serial::midpoint_departure(velocity, face, step);
   }
 };
+
+template <class Real>
+using Baseline = serial::SemiLagrangian<Real, Trace>;
 
 }  // namespace gpuphys::advect_rk2
 

@@ -5,22 +5,21 @@
 
 namespace gpuphys::advect_rk3 {
 
-template <class Real>
-class Baseline {
- public:
-  void allocate(const Inputs&, const Outputs<Real>&) {}
-
-  void compute(const Inputs& in, const Outputs<Real>& out) {
-    serial::advect<Real>(in, out, [](const auto& velocity, const serial::Point<Real>& face, Real step) {
-      const serial::Vector<Real> k1 = velocity.at(face);
-      const serial::Vector<Real> k2 = velocity.at(serial::moved(face, k1, -step / 2));
-      const serial::Vector<Real> k3 = velocity.at(serial::moved(face, k2, -step * 3 / 4));
-      serial::Vector<Real> k;
-      for (std::size_t d = 0; d < 3; ++d) k[d] = (2 * k1[d] + 3 * k2[d] + 4 * k3[d]) / 9;
-      return serial::moved(face, k, -step);
-    });
+struct Trace {
+  template <class Real>
+  static serial::Point<Real> departure(const serial::MacField<Real>& velocity,
+                                       const serial::Point<Real>& face, Real step) {
+    const serial::Vector<Real> k1 = velocity.at(face);
+    const serial::Vector<Real> k2 = velocity.at(serial::moved(face, k1, -step / 2));
+    const serial::Vector<Real> k3 = velocity.at(serial::moved(face, k2, -step * 3 / 4));
+    serial::Vector<Real> k;
+    for (std::size_t d = 0; d < 3; ++d) k[d] = (2 * k1[d] + 3 * k2[d] + 4 * k3[d]) / 9;
+    return serial::moved(face, k, -step);
   }
 };
+
+template <class Real>
+using Baseline = serial::SemiLagrangian<Real, Trace>;
 
 }  // namespace gpuphys::advect_rk3
 

@@ -133,16 +133,23 @@ void fill_faces(const std::array<View<Real, 3>, 3>& field, Value&& value) {
   }
 }
 
-/// Semi-Lagrangian advection: every component takes its value at departure(velocity, face, step), `step`
-/// being the cells travelled per unit velocity.
-template <class Real, class Inputs, class Outputs, class Departure>
-void advect(const Inputs& in, const Outputs& out, Departure&& departure) {
-  const MacField<Real> velocity{in.ux, in.uy, in.uz};
-  const Real step = static_cast<Real>(in.dt) / static_cast<Real>(in.dx);
-  fill_faces<Real>({out.ux, out.uy, out.uz}, [&](int c, const Point<Real>& face) {
-    return velocity.component(c, departure(velocity, face, step));
-  });
-}
+/// The baseline of a semi-Lagrangian scheme: every component takes its value at the departure point of its
+/// face, Trace::departure(velocity, face, step), `step` being the cells travelled per unit velocity.
+template <class Real, class Trace>
+class SemiLagrangian {
+ public:
+  template <class Inputs, class Outputs>
+  void allocate(const Inputs&, const Outputs&) {}
+
+  template <class Inputs, class Outputs>
+  void compute(const Inputs& in, const Outputs& out) {
+    const MacField<Real> velocity{in.ux, in.uy, in.uz};
+    const Real step = static_cast<Real>(in.dt) / static_cast<Real>(in.dx);
+    fill_faces<Real>({out.ux, out.uy, out.uz}, [&](int c, const Point<Real>& face) {
+      return velocity.component(c, Trace::departure(velocity, face, step));
+    });
+  }
+};
 
 /// The point from which the midpoint rule reaches `from` in a step; with a negative step, the point it goes
 /// to.
