@@ -16,11 +16,7 @@
 namespace gpuphys::advect_rk4 {
 namespace {
 
-#ifdef GPUPHYS_OTHER_BLOCKS
-using Policy = mac::March<32, 2, 3, 8>;
-#else
-using Policy = mac::March<32, 4, 4, 8>;
-#endif
+using Policy = mac::TiledMarch<4>;  // another tile under GPUPHYS_OTHER_BLOCKS
 
 using Reference = mac::SemiLagrangianSolver<Policy, mac::ClassicalTrace>;
 

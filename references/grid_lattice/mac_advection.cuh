@@ -166,6 +166,16 @@ struct March {
   static constexpr int tile_z = z, tile_y = y, march_x = x, threads = z * y, blocks_per_sm = resident;
 };
 
+/// What all schemes use, with x cells a thread. The other choice is for the variant that shows that rounding
+/// does not depend on it.
+#ifdef GPUPHYS_OTHER_BLOCKS
+template <int>
+using TiledMarch = March<32, 2, 3, 8>;
+#else
+template <int x>
+using TiledMarch = March<32, 4, x, 8>;
+#endif
+
 struct Tiling {
   int upper_blocks, tiles_z, tiles_y;
 };
