@@ -1,5 +1,9 @@
 # The tasks. This is the only list of them: everything else is derived from it.
+gpuphys_add_task(advect_rk1 grid_lattice)
 gpuphys_add_task(advect_rk2 grid_lattice)
+gpuphys_add_task(advect_rk3 grid_lattice)
+gpuphys_add_task(advect_rk4 grid_lattice)
+gpuphys_add_task(advect_mc grid_lattice)
 gpuphys_add_task(stream_d3q19 grid_lattice)
 gpuphys_add_task(stream_d3q27 grid_lattice)
 gpuphys_add_task(trt_collision_d3q19 grid_lattice)

@@ -148,7 +148,7 @@ TEST_F(Commands, AnExportedSetCanBeSolvedElsewhereAndChecked) {
 }
 
 TEST_F(Commands, UnknownNamesAreRefusedWithWhatExists) {
-  EXPECT_OUTCOME(gpuphys("export --task advect_rk9 --set public --output x.h5"), 6, "nearest: advect_rk2");
+  EXPECT_OUTCOME(gpuphys("export --task advect_rk22 --set public --output x.h5"), 6, "nearest: advect_rk2");
   EXPECT_OUTCOME(gpuphys("export --task advect_rk2 --set nothing --output x.h5"), 6, "public_smoke");
   EXPECT_OUTCOME(gpuphys("verdict --gpu none"), 6, "no records of GPU 'none'");
   EXPECT_OUTCOME(gpuphys("tolerance --value 1"), 2, "--check and --value belong together");
