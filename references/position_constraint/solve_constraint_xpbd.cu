@@ -43,10 +43,10 @@ struct Policy {
   static constexpr int build_threads = 512;
   static constexpr int build_capacity = 6144;
 #else
-  using Tile = springs::TileShape<10, 4, 1280>;  // a row of 12 half-springs is three full turns of 4 threads
-  static constexpr int project_threads = 384;
-  static constexpr int project_at_once = 3;  // blocks a multiprocessor, 74 KB of shared memory each
-  static constexpr int unroll = 3;           // a whole row of 12 in flight at once
+  using Tile = springs::TileShape<10, 2, 1600>;  // a row of 12 half-springs is six full turns of 2 threads
+  static constexpr int project_threads = 512;
+  static constexpr int project_at_once = 2;  // blocks a multiprocessor, 84 KB of shared memory each
+  static constexpr int unroll = 3;
   static constexpr int split_threads = 1024;
   static constexpr int split_items = 8;     // 16384 half-springs sorted in 128 KB of shared memory
   static constexpr int split_blocks = 132;  // one a multiprocessor of an H200

@@ -227,19 +227,17 @@ __device__ __forceinline__ void for_each_record(const Record* __restrict__ split
     const int here = min(Threads, chunks - c0);
     for (int r = tid / lanes; r < here; r += groups * together) {
       Record record[together * parts];
-      const Record* from[together];
-      int length[together];
+      int from[together], length[together];
 #pragma unroll
       for (int u = 0; u < together; ++u) {
         const int c = r + u * groups;
         const std::uint32_t code = c < here ? run[c] : 0u;
         length[u] = static_cast<int>(code & 0xffffu);
-        from[u] = split + static_cast<std::size_t>(c < here ? c0 + c : c0) * static_cast<std::size_t>(room) +
-                  (code >> 16);
+        from[u] = (c0 + c) * room + static_cast<int>(code >> 16);
 #pragma unroll
         for (int part = 0; part < parts; ++part) {
           const int k = lane + part * lanes;
-          if (k < length[u]) record[u * parts + part] = from[u][k];
+          if (k < length[u]) record[u * parts + part] = split[from[u] + k];
         }
       }
 #pragma unroll
@@ -251,35 +249,43 @@ __device__ __forceinline__ void for_each_record(const Record* __restrict__ split
       }
 #pragma unroll
       for (int u = 0; u < together; ++u) {
-        for (int k = lane + parts * lanes; k < length[u]; k += lanes) use(from[u][k]);
+        for (int k = lane + parts * lanes; k < length[u]; k += lanes) use(split[from[u] + k]);
       }
     }
   }
 }
 
-/// A set of particles in shared memory: open addressing, a few tries. What finds no room is left out.
+/// A set of particles in shared memory: double hashing, some tries. What finds no room is left out.
 template <int Slots>
 struct Halo {
   static_assert((Slots & (Slots - 1)) == 0);
-  static constexpr int kTries = 24, kEmpty = -1;
+  static constexpr int kTries = 32, kEmpty = -1;
   int* key;              ///< (Slots)
   std::uint16_t* place;  ///< (Slots): once numbered
 
-  __device__ __forceinline__ static int home(int particle) {
-    return static_cast<int>(static_cast<std::uint32_t>(particle) * 2654435769u >> 16) & (Slots - 1);
-  }
   __device__ __forceinline__ void insert(int particle) {
-    for (int at = home(particle), tries = 0; tries < kTries; ++tries, at = (at + 1) & (Slots - 1)) {
-      const int there = atomicCAS(key + at, kEmpty, particle);
+    const std::uint32_t hash = hash_of(particle);
+    for (int k = 0; k < kTries; ++k) {
+      const int there = atomicCAS(key + slot(hash, k), kEmpty, particle);
       if (there == kEmpty || there == particle) return;
     }
   }
   __device__ __forceinline__ std::uint16_t find(int particle) const {
-    for (int at = home(particle), tries = 0; tries < kTries; ++tries, at = (at + 1) & (Slots - 1)) {
-      if (key[at] == particle) return place[at];
-      if (key[at] == kEmpty) break;
+    const std::uint32_t hash = hash_of(particle);
+    for (int k = 0; k < kTries; ++k) {
+      const int at = slot(hash, k), there = key[at];
+      if (there == particle) return place[at];
+      if (there == kEmpty) break;
     }
     return kFar;
+  }
+
+ private:
+  __device__ __forceinline__ static std::uint32_t hash_of(int particle) {
+    return static_cast<std::uint32_t>(particle) * 2654435769u;
+  }
+  __device__ __forceinline__ static int slot(std::uint32_t hash, int k) {
+    return static_cast<int>((hash >> 20) + static_cast<std::uint32_t>(k) * (hash >> 7 | 1u)) & (Slots - 1);
   }
 };
 
