@@ -129,35 +129,46 @@ __global__ void __launch_bounds__(Threads, BlocksAtOnce)
           shifted_rest[u] = from[at];
         }
       }
+      float4 other_base[Unroll], other_step[Unroll];
+      bool far = false;
 #pragma unroll
       for (int u = 0; u < Unroll; ++u) {
-        const int at = place + u * pitch;
-        float4 other_base, other_step;
-        if (other[u] == kFar) {
-          const int particle = springs.far[at];
-          other_base = part[2 * particle];
-          other_step = part[2 * particle + 1];
-        } else {
-          other_base = base[other[u]];
-          other_step = step[other[u]];
+        const bool away = other[u] == kFar;
+        const int held = away ? me : other[u];
+        other_base[u] = base[held];
+        other_step[u] = step[held];
+        far |= away;
+      }
+      if (far) {
+#pragma unroll
+        for (int u = 0; u < Unroll; ++u) {
+          if (other[u] != kFar) continue;
+          const int particle = springs.far[place + u * pitch];
+          other_base[u] = part[2 * particle];
+          other_step[u] = part[2 * particle + 1];
         }
-        const float dx = (own_base.x - other_base.x) + (own_step.x - other_step.x);
-        const float dy = (own_base.y - other_base.y) + (own_step.y - other_step.y);
-        const float dz = (own_base.z - other_base.z) + (own_step.z - other_step.z);
+      }
+#pragma unroll
+      for (int u = 0; u < Unroll; ++u) {
+        const float dx = (own_base.x - other_base[u].x) + (own_step.x - other_step[u].x);
+        const float dy = (own_base.y - other_base[u].y) + (own_step.y - other_step[u].y);
+        const float dz = (own_base.z - other_base[u].z) + (own_step.z - other_step[u].z);
         const float square = dx * dx + dy * dy + dz * dz;
-        const float inv_mass_sum = own_base.w + other_base.w;
-        float change = 0.0f, per_metre = 0.0f;
-        if (square >= kLeastSquare && inv_mass_sum > 0.0f) {
-          float length, inverse;
-          length_of(square, length, inverse);
-          const auto valence = static_cast<float>(max(own_valence, __float_as_int(other_step.w)));
-          change = multiplier_step(length, shifted_rest[u], alpha, inv_mass_sum, valence);
-          per_metre = change * inverse;
-        }
+        const float inv_mass_sum = own_base.w + other_base[u].w;
+        float length, inverse;
+        length_of(square, length, inverse);
+        const auto valence = static_cast<float>(max(own_valence, __float_as_int(other_step[u].w)));
+        float change = multiplier_step(length, shifted_rest[u], alpha, inv_mass_sum, valence);
+        float per_metre = change * inverse;
+        // Whatever came out for coincident or pinned ends is dropped here: cheaper than a branch.
+        const bool acts = square >= kLeastSquare && inv_mass_sum > 0.0f;
+        change = acts ? change : 0.0f;
+        per_metre = acts ? per_metre : 0.0f;
         sum.x += per_metre * dx;
         sum.y += per_metre * dy;
         sum.z += per_metre * dz;
-        if (!last && k0 + u * lanes < length_of_row) shifted[at] = shifted_rest[u] - alpha * change;
+        if (!last && k0 + u * lanes < length_of_row)
+          shifted[place + u * pitch] = shifted_rest[u] - alpha * change;
       }
     }
 #pragma unroll
