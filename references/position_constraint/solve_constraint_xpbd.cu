@@ -1,22 +1,25 @@
 // solve_constraint_xpbd: 8 Jacobi iterations of compliant distance constraints, averaged by valence, FP32.
 //
-// Particles and springs come in random order. Particles are renumbered along a Morton curve; springs are
-// sorted into rows, one a particle, each spring in the rows of both ends, by bins of 1024 particles in shared
-// memory (spring_rows.cuh). An iteration then gathers: `lanes` threads a particle read its row, fetch the
-// other ends, and add up the particle's displacement. Multipliers live beside the row entries and are
-// advanced identically at both ends, so there are no atomics and no second pass.
+// Particles and springs come in random order. Particles are renumbered along a Morton curve
+// (spatial_order.cuh); 1024 consecutive ones make a tile, and each spring is sorted into the rows of both
+// ends in their tiles (spring_tiles.cuh). In an iteration a block takes a tile: it loads the tile's
+// particles and their neighbours outside (the halo) into shared memory, two threads a particle read its
+// row, fetch the other ends from there, and add up the particle's displacement. The state of a spring
+// lives beside the row entries and is advanced identically at both ends, so there are no atomics and no
+// second pass.
 //
-// Positions are held as input plus displacement: differences of inputs are exact or nearly so, displacements
-// of a centimetre keep their digits, and one addition at the end rounds.
+// Positions are held as input plus displacement: differences of inputs are exact or nearly so,
+// displacements of a centimetre keep their digits, and one addition at the end rounds.
 //
-// What bounds it (n = 1.05 million, m = 6.28 million, 12.56 million half-springs; times predicted): an
-// iteration streams 8 + 4 + 4 bytes a half-spring and 32 + 32 bytes a particle, 268 MB, 0.063 ms; and the L1
-// looks up a line for each random particle, about 0.06 ms. Sorting moves 477 MB and gathers 12.56 million
-// numbers, 0.3 ms. Measured by ncu on an H100 (3.0 TB/s): 262 MB and 0.09-0.107 ms an iteration, device
-// memory 70-76 %. What pays: the sector-sized particle (position, inverse mass, displacement and valence of a
-// neighbour in one access), fetched by two lanes together, which halves the look-ups; whole sectors stored;
-// the Morton curve, so that most neighbours are in the L1 or the L2; and multisplits in shared memory in
-// place of random stores, with runs of whole records, in one array, long against a sector.
+// What bounds it (n = 1.05 million, m = 6.28 million, 12.56 million half-springs; all predicted): an
+// iteration moves 2 + 4 + 4 bytes a half-spring and 32 + 32 bytes a particle of device memory, and 43 MB
+// of halos out of the L2, 0.05 ms; and shared memory needs about 21 cycles a multiprocessor for the other
+// ends of 32 half-springs (random 16-byte reads meet in 2.6 of 8 groups of banks), with everything else 95
+// thousand cycles, 0.05 ms. Sorting moves 360 MB and gathers 12.56 million numbers out of the L2 (0.1 ms).
+// What pays: halos, so that no half-spring looks beyond shared memory and 16 bits name its other end; one
+// number of state, the rest length shifted by the multiplier; rows interleaved so that a warp reads 32
+// neighbours; a sort that writes each chunk as it is and lets the tile collect its runs (one pass over the
+// springs, no scan); whole sectors stored.
 #include "cases/position_constraint/solve_constraint_xpbd.hpp"
 
 #include <climits>
