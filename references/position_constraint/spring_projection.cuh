@@ -61,7 +61,7 @@ __global__ void write_positions(const Particle* __restrict__ particles,
 /// Shared memory of project, bytes. The displacements begin in other banks than the positions.
 template <class Shape>
 constexpr std::size_t project_bytes() {
-  return sizeof(float4) * (2 * Shape::kHeld + 4);
+  return sizeof(float4) * (2 * Shape::kHeld + 4) + sizeof(int) * Shape::kSlices;
 }
 
 /// One Jacobi iteration, a block a tile: particles of the tile and its halo come to shared memory, then a
@@ -79,12 +79,14 @@ __global__ void __launch_bounds__(Threads, BlocksAtOnce)
   extern __shared__ int4 pool[];
   float4* const base = reinterpret_cast<float4*>(pool);
   float4* const step = base + Shape::kHeld + 4;
+  int* const slice = reinterpret_cast<int*>(step + Shape::kHeld);
   const int tid = static_cast<int>(threadIdx.x);
   const int tile = static_cast<int>(backward ? gridDim.x - 1 - blockIdx.x : blockIdx.x);
   const int low = tile << Shape::kShift, particles = min(Shape::kParticles, n - low);
   const float4* const part = reinterpret_cast<const float4*>(now);
 #pragma unroll 4
   for (int k = tid; k < 2 * particles; k += Threads) (k & 1 ? step : base)[k / 2] = part[2 * low + k];
+  for (int k = tid; k < Shape::kSlices; k += Threads) slice[k] = springs.slice[tile * Shape::kSlices + k];
   // Two threads fetch a particle of the halo, a whole sector in one access.
   const int outside = springs.halo_count[tile];
   const std::int32_t* const halo = springs.halo + tile * Shape::kHalo;
@@ -103,7 +105,7 @@ __global__ void __launch_bounds__(Threads, BlocksAtOnce)
     const int own_valence = __float_as_int(own_step.w);
     const int length_of_row = live ? own_valence : 0;
     const int longest = static_cast<int>(__reduce_max_sync(all, static_cast<unsigned>(length_of_row)));
-    const int code = springs.slice[tile * Shape::kSlices + s];
+    const int code = slice[s];
     int place = code + lane, pitch = 32;  // of the row's half-spring `row_lane`; to the one `lanes` further
     if (code % 2 == 1) {                  // rows one after the other
       int through = row_lane == 0 ? length_of_row : 0;
