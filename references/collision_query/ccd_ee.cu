@@ -34,7 +34,9 @@
 namespace gpuphys::ccd_ee {
 namespace {
 
+using collision::CompactBox;
 using collision::Cubic;
+using collision::Diagonal;
 using collision::Grid;
 using collision::Moving;
 using collision::SceneSums;
@@ -45,12 +47,14 @@ struct Policy {
 #ifdef GPUPHYS_OTHER_BLOCKS
   static constexpr int edge_threads = 128;  // one thread an edge
   static constexpr int warps = 2;           // of a block of `impacts`
+  static constexpr int edges_of_lane = 1;   // there, in a tile
   static constexpr float cell_over_extent[3] = {0.7f, 0.7f, 0.7f};
   static constexpr int sampled_edges = 1000;
   static constexpr float large_over_extent = 8.0f;
 #else
   static constexpr int edge_threads = 256;
   static constexpr int warps = 4;
+  static constexpr int edges_of_lane = 2;
   // Fine along x, where a warp reads a range of cells; along y and z smaller cells mean more, shorter ranges.
   static constexpr float cell_over_extent[3] = {0.5f, 1.4f, 2.0f};
   static constexpr int sampled_edges = 65536;  // for the mean extent
@@ -64,9 +68,8 @@ struct Policy {
   static constexpr int resident_warps = 24;  // of `impacts` on an SM: 80 registers a thread
 #endif
   static constexpr int impact_threads = 32 * warps;
-  // Of 32 places, that a warp takes on average: more leave fewer partial batches, fewer fill the SMs evenly.
-  static constexpr int tiles_of_warp = 4;
   static constexpr int resident_blocks = 132 * resident_warps / warps;
+  static constexpr int tile = 32 * edges_of_lane;  // places
 };
 
 constexpr unsigned kAllLanes = 0xffffffffu;
@@ -93,19 +96,25 @@ __device__ __forceinline__ EdgeMotion motion_of(const Mesh& mesh, int2 ends) {
           position(mesh.x1, ends.y)};
 }
 
-__device__ __forceinline__ SweptBox box_of(const EdgeMotion& e) {
-  return collision::box_of(e.a0, e.b0, e.a1, e.b1);
+__device__ __forceinline__ CompactBox box_of(const Diagonal& diagonal, const EdgeMotion& e) {
+  return collision::compact_box(diagonal, e.a0, e.b0, e.a1, e.b1);
 }
+
+// Sums and the number of tiles taken stand before the counts, so that one memset clears all. The alignment
+// keeps that of the counts.
+struct alignas(256) Head {
+  SceneSums sums;
+  int tiles_taken;
+};
 
 // What passes between the kernels.
 struct Scratch {
-  SceneSums* sums;
-  std::int32_t* starts;        // per cell: the count, after the scan the first place; one more for the large
-  float4* vertices;            // per vertex: two, its positions at both times; one 32-byte sector
-  float4* box_of_edge;         // [2][m] lower corners and first vertices, upper corners and second ones
-  int2* cell_and_rank;         // per edge
-  std::int32_t* order;         // per place: the edge
-  float4* __restrict__ boxes;  // per place: two, lower and upper corner with the two vertices
+  Head* head;
+  std::int32_t* starts;  // per cell: the count, after the scan the first place; one more for the large
+  float4* vertices;      // per vertex: two, its positions at both times; one 32-byte sector
+  float4* box_of_edge;   // [2][m] halves of records, in the order of the edges
+  int2* cell_and_rank;   // per edge
+  float4* __restrict__ records;  // per place: two. One sector: box, vertices and number of the edge
   int cell_capacity;
   int m;  // edges
 };
@@ -129,10 +138,10 @@ __device__ __forceinline__ collision::GridShape grid_shape() {
 
 // Packs the vertices, two threads a vertex, whose box is the scene's; and samples the extents of edges.
 __global__ void __launch_bounds__(Policy::edge_threads) pack(Mesh mesh, Scratch s) {
+  constexpr int warps = Policy::edge_threads / 32;
   __shared__ unsigned codes[6];
-  __shared__ float extents;
+  __shared__ float warp_extents[warps][collision::kExtents];
   if (threadIdx.x < 6) codes[threadIdx.x] = 0;
-  if (threadIdx.x == 0) extents = 0.0f;
   __syncthreads();
   unsigned low[3] = {0, 0, 0}, high[3] = {0, 0, 0};
   const auto extend = [&](int d, float x) {
@@ -141,13 +150,14 @@ __global__ void __launch_bounds__(Policy::edge_threads) pack(Mesh mesh, Scratch 
   };
   const int thread = static_cast<int>(blockIdx.x * blockDim.x + threadIdx.x);
   const int stride = static_cast<int>(gridDim.x * blockDim.x);
-  float extent = 0.0f;
+  float extents[collision::kExtents] = {};
   const int samples = samples_of(mesh.m), step = mesh.m / max(samples, 1);
   for (int k = thread; k < samples; k += stride) {
     // One edge of each `step`, not always the same one of them: edges may come in a pattern.
     const int e =
         k * step + static_cast<int>(static_cast<unsigned>(k) * 2654435769u % static_cast<unsigned>(step));
-    extent += box_of(motion_of(mesh, mesh.edges[e])).extent();
+    const EdgeMotion sample = motion_of(mesh, mesh.edges[e]);
+    collision::add_extents(extents, sample.a0, sample.b0, sample.a1, sample.b1);
   }
   for (std::int64_t t = thread; t < 2 * static_cast<std::int64_t>(mesh.n); t += stride) {
     const float* p0 = mesh.x0 + 3 * (t / 2);
@@ -166,7 +176,8 @@ __global__ void __launch_bounds__(Policy::edge_threads) pack(Mesh mesh, Scratch 
     }
     s.vertices[t] = half;
   }
-  extent = collision::warp_sum(extent);
+#pragma unroll
+  for (int k = 0; k < collision::kExtents; ++k) extents[k] = collision::warp_sum(extents[k]);
   for (int d = 0; d < 3; ++d) {
     low[d] = collision::warp_max(low[d]);
     high[d] = collision::warp_max(high[d]);
@@ -176,12 +187,19 @@ __global__ void __launch_bounds__(Policy::edge_threads) pack(Mesh mesh, Scratch 
       atomicMax(&codes[d], low[d]);
       atomicMax(&codes[3 + d], high[d]);
     }
-    atomicAdd(&extents, extent);
+#pragma unroll
+    for (int k = 0; k < collision::kExtents; ++k) warp_extents[threadIdx.x / 32][k] = extents[k];
   }
   __syncthreads();
-  if (threadIdx.x < 3) atomicMax(&s.sums->low_code[threadIdx.x], codes[threadIdx.x]);
-  if (threadIdx.x >= 3 && threadIdx.x < 6) atomicMax(&s.sums->high_code[threadIdx.x - 3], codes[threadIdx.x]);
-  if (threadIdx.x == 6 && extents > 0.0f) atomicAdd(&s.sums->extent_sum, extents);
+  SceneSums& sums = s.head->sums;
+  if (threadIdx.x < 3) atomicMax(&sums.low_code[threadIdx.x], codes[threadIdx.x]);
+  if (threadIdx.x >= 3 && threadIdx.x < 6) atomicMax(&sums.high_code[threadIdx.x - 3], codes[threadIdx.x]);
+  if (threadIdx.x >= 32 && threadIdx.x < 32 + collision::kExtents) {
+    const int k = static_cast<int>(threadIdx.x) - 32;
+    float sum = 0.0f;
+    for (int w = 0; w < warps; ++w) sum += warp_extents[w][k];
+    if (sum > 0.0f) atomicAdd(&sums.extents[k], sum);
+  }
 }
 
 // Boxes in the order of the edges, each one's cell and its rank there.
@@ -190,18 +208,20 @@ __global__ void __launch_bounds__(Policy::edge_threads) count(Mesh mesh, Scratch
   __shared__ unsigned codes[3];
   if (threadIdx.x < 3) codes[threadIdx.x] = 0;
   if (threadIdx.x == 0)
-    grid = collision::make_grid(*s.sums, samples_of(mesh.m), s.cell_capacity, grid_shape());
+    grid = collision::make_grid(s.head->sums, samples_of(mesh.m), s.cell_capacity, grid_shape());
   __syncthreads();
   unsigned reach[3] = {0, 0, 0};
   const int stride = static_cast<int>(gridDim.x * blockDim.x);
   for (int e = static_cast<int>(blockIdx.x * blockDim.x + threadIdx.x); e < mesh.m; e += stride) {
     const int2 ends = mesh.edges[e];
-    const SweptBox box = box_of(motion_of(s, ends));
+    const CompactBox kept = box_of(grid.diagonal, motion_of(s, ends));
+    const SweptBox box = collision::expand(grid.diagonal, kept);
     const int cell = collision::cell_of(grid, box, s.cell_capacity);
     s.cell_and_rank[e] = {cell, atomicAdd(&s.starts[cell], 1)};
-    s.box_of_edge[e] = {box.low[0], box.low[1], box.low[2], __int_as_float(ends.x)};
-    s.box_of_edge[static_cast<std::ptrdiff_t>(s.m) + e] = {box.high[0], box.high[1], box.high[2],
-                                                           __int_as_float(ends.y)};
+    s.box_of_edge[e] = {kept.low[0], kept.low[1], kept.low[2], __int_as_float(ends.x)};
+    s.box_of_edge[static_cast<std::ptrdiff_t>(s.m) + e] = {__uint_as_float(kept.extents),
+                                                           __uint_as_float(kept.along),
+                                                           __int_as_float(ends.y), __int_as_float(e)};
     toi[e] = 1.0f;
     if (cell == s.cell_capacity) continue;
     for (int d = 0; d < 3; ++d) {
@@ -214,24 +234,18 @@ __global__ void __launch_bounds__(Policy::edge_threads) count(Mesh mesh, Scratch
     if (threadIdx.x % 32 == 0) atomicMax(&codes[d], reach[d]);
   }
   __syncthreads();
-  if (threadIdx.x < 3) atomicMax(&s.sums->reach_code[threadIdx.x], codes[threadIdx.x]);
+  if (threadIdx.x < 3) atomicMax(&s.head->sums.reach_code[threadIdx.x], codes[threadIdx.x]);
 }
 
-// Two threads an edge, which write its box to its place as one whole sector.
+// Two threads an edge, which write its record to its place as one whole sector.
 __global__ void __launch_bounds__(Policy::edge_threads) place(Scratch s) {
   const std::int64_t t = static_cast<std::int64_t>(blockIdx.x) * blockDim.x + threadIdx.x;
   const int e = static_cast<int>(t / 2), half = static_cast<int>(t % 2);
   if (e >= s.m) return;
   const int2 at = s.cell_and_rank[e];
-  const float4 corner = s.box_of_edge[half * static_cast<std::ptrdiff_t>(s.m) + e];
+  const float4 part = s.box_of_edge[half * static_cast<std::ptrdiff_t>(s.m) + e];
   const int place = s.starts[at.x] + at.y;
-  s.boxes[2 * static_cast<std::ptrdiff_t>(place) + half] = corner;
-  if (half == 0) s.order[place] = e;
-}
-
-__device__ __forceinline__ EdgeMotion load_motion(const Scratch& s, int place) {
-  const float4* b = s.boxes + 2 * static_cast<std::ptrdiff_t>(place);
-  return motion_of(s, {__float_as_int(__ldg(&b[0].w)), __float_as_int(__ldg(&b[1].w))});
+  s.records[2 * static_cast<std::ptrdiff_t>(place) + half] = part;
 }
 
 // A pair's relative motion: u and v along the edges, w between their first ends.
@@ -257,27 +271,18 @@ __device__ __forceinline__ bool meet(float3 u, float3 v, float3 w) {
   return crossing && s >= 0.0f && s <= nn && r >= 0.0f && r <= nn;
 }
 
-// What a warp keeps in shared memory: candidates, read 32 at a time, and two queues of pairs, those to
-// examine and those to bisect.
-struct Queues {
-  float4 low[64], high[64];  // candidates
-  int place[64];
-  int2 overlapping[128];
-  int2 crossing[64];
+// The vertices of an edge and its number.
+struct EdgeName {
+  int a, b, edge;
 };
 
-// Adds the pairs of the lanes in `hits` to a queue of `count`.
-__device__ __forceinline__ int append(int2* queue, int count, unsigned hits, int2 pair, int lane) {
-  if (hits >> lane & 1u) queue[count + __popc(hits & ((1u << lane) - 1u))] = pair;
-  __syncwarp();
-  return count + __popc(hits);
-}
-
-__device__ __forceinline__ int2 take(const int2* queue, int first, int lane) {
-  const int2 pair = queue[first + lane];
-  __syncwarp();
-  return pair;
-}
+// What a warp keeps in shared memory: candidates, of which up to 31 wait, and the pairs to resolve.
+struct Queues {
+  float4 low[64], high[64];  // with the vertices
+  float4 rest[64];           // interval along the diagonal, place, number of the edge
+  int4 vertices[64];
+  int2 edges[64];
+};
 
 // Floats that are not negative are ordered as their bits are.
 __device__ __forceinline__ void record(float* toi, int edge, float t) {
@@ -285,12 +290,13 @@ __device__ __forceinline__ void record(float* toi, int edge, float t) {
 }
 
 // Times of the pairs of a warp; lanes without one have `mine` unset.
-__device__ __noinline__ void resolve(const Scratch& s, float* toi, bool mine, int2 pair) {
+__device__ __noinline__ void resolve(const Scratch& s, float* toi, bool mine, int4 vertices, int2 edges) {
   if (mine) {
     // The edge of the lower number comes first, whatever the order in a cell: rounding does not depend on it.
-    const int e = s.order[pair.x], f = s.order[pair.y];
+    const int e = edges.x, f = edges.y;
     const bool swap = f < e;
-    const EdgeMotion p = load_motion(s, swap ? pair.y : pair.x), q = load_motion(s, swap ? pair.x : pair.y);
+    const EdgeMotion p = motion_of(s, swap ? int2{vertices.z, vertices.w} : int2{vertices.x, vertices.y});
+    const EdgeMotion q = motion_of(s, swap ? int2{vertices.x, vertices.y} : int2{vertices.z, vertices.w});
     const PairMotion r = relative(p, q);
     const Cubic volume = collision::triple_product(r.w, r.u, r.v);
     const float t =
@@ -303,186 +309,209 @@ __device__ __noinline__ void resolve(const Scratch& s, float* toi, bool mine, in
   __syncwarp();
 }
 
-// Queues those of a warp's pairs that may be coplanar at some time; returns how many the second queue holds
-// then.
-__device__ __noinline__ int examine(const Scratch& s, float* toi, int2* crossing_queue, int crossings,
-                                    int lane, bool mine, int2 pair) {
-  bool crossing = false;
-  if (mine) {
-    const PairMotion r = relative(load_motion(s, pair.x), load_motion(s, pair.y));
-    crossing = !collision::keeps_its_sign(collision::triple_product(r.w, r.u, r.v));
-  }
-  crossings = append(crossing_queue, crossings, __ballot_sync(kAllLanes, crossing), pair, lane);
-  if (crossings >= 32) {
-    crossings -= 32;
-    resolve(s, toi, true, take(crossing_queue, crossings, lane));
-  }
-  return crossings;
-}
-
 class Narrow {
  public:
   __device__ __forceinline__ Narrow(const Scratch& s, float* toi, Queues& queues, int lane)
       : s_(s), toi_(toi), queues_(queues), lane_(lane) {}
 
-  // All lanes call it; those with `hit` bring the pair of places (i, j).
-  __device__ __forceinline__ void add(bool hit, int i, int j) {
+  // All lanes call it; those with `hit` bring the pair of p and q.
+  __device__ __forceinline__ void add(bool hit, const EdgeName& p, const EdgeName& q) {
     const unsigned hits = __ballot_sync(kAllLanes, hit);
     if (hits == 0) return;
-    overlaps_ = append(queues_.overlapping, overlaps_, hits, {i, j}, lane_);
-    examine_full_batches();
+    if (hit) {
+      const int at = pairs_ + __popc(hits & ((1u << lane_) - 1u));
+      queues_.vertices[at] = {p.a, p.b, q.a, q.b};
+      queues_.edges[at] = {p.edge, q.edge};
+    }
+    __syncwarp();
+    pairs_ += __popc(hits);
+    if (pairs_ >= 32) {
+      pairs_ -= 32;
+      resolve(s_, toi_, true, queues_.vertices[pairs_ + lane_], queues_.edges[pairs_ + lane_]);
+    }
   }
 
-  // All lanes call it: a bit of `hits` stands for the pair of place i with the candidate of that number from
-  // `first` on. Up to three pairs a lane go to the queue at a time, which has room for them beside the 31
-  // that may be left.
-  __device__ __forceinline__ void add_all(unsigned hits, int i, int first) {
-    const unsigned lanes_before = (1u << lane_) - 1u;
+  // All lanes call it: a bit of `hits` stands for the pair of p with the candidate of that number from
+  // `first` on.
+  __device__ __forceinline__ void add_all(unsigned hits, const EdgeName& p, int first) {
 #pragma unroll 1
     while (__any_sync(kAllLanes, hits != 0)) {
-      const int mine = min(__popc(hits), 3);
-      const unsigned ones = __ballot_sync(kAllLanes, (mine & 1) != 0);
-      const unsigned twos = __ballot_sync(kAllLanes, (mine & 2) != 0);
-      const int at = overlaps_ + __popc(ones & lanes_before) + 2 * __popc(twos & lanes_before);
-#pragma unroll
-      for (int k = 0; k < 3; ++k) {
-        if (k < mine) {
-          queues_.overlapping[at + k] = {i, queues_.place[first + __ffs(static_cast<int>(hits)) - 1]};
-          hits &= hits - 1u;
-        }
-      }
-      __syncwarp();
-      overlaps_ += __popc(ones) + 2 * __popc(twos);
-      examine_full_batches();
+      const int at = first + max(__ffs(static_cast<int>(hits)) - 1, 0);
+      add(hits != 0, p,
+          {__float_as_int(queues_.low[at].w), __float_as_int(queues_.high[at].w),
+           __float_as_int(queues_.rest[at].w)});
+      hits &= hits - 1u;
     }
   }
 
-  // What is left at the end: fewer than 32 pairs in each queue.
+  // What is left at the end: fewer than 32 pairs.
   __device__ __forceinline__ void finish() {
-    if (overlaps_ > 0) {
-      const bool mine = lane_ < overlaps_;
-      const int2 pair = queues_.overlapping[mine ? lane_ : 0];
-      crossings_ = examine(s_, toi_, queues_.crossing, crossings_, lane_, mine, pair);
-    }
-    if (crossings_ > 0) {
-      const bool mine = lane_ < crossings_;
-      resolve(s_, toi_, mine, queues_.crossing[mine ? lane_ : 0]);
+    if (pairs_ > 0) {
+      const int at = lane_ < pairs_ ? lane_ : 0;
+      resolve(s_, toi_, lane_ < pairs_, queues_.vertices[at], queues_.edges[at]);
     }
   }
 
  private:
-  __device__ __forceinline__ void examine_full_batches() {
-#pragma unroll 1
-    while (overlaps_ >= 32) {
-      overlaps_ -= 32;
-      crossings_ = examine(s_, toi_, queues_.crossing, crossings_, lane_, true,
-                           take(queues_.overlapping, overlaps_, lane_));
-    }
-  }
-
   const Scratch& s_;
   float* toi_;
   Queues& queues_;
   int lane_;
-  int overlaps_ = 0, crossings_ = 0;
+  int pairs_ = 0;
 };
 
-// A box with the two vertices of its edge.
+// A box with the two vertices of its edge and its number.
 struct Entry {
   float4 low, high;
+  float2 along;
+  int edge;
+
+  __device__ __forceinline__ EdgeName name() const {
+    return {__float_as_int(low.w), __float_as_int(high.w), edge};
+  }
+  __device__ __forceinline__ SweptBox box() const {
+    return {{low.x, low.y, low.z}, {high.x, high.y, high.z}, along.x, along.y};
+  }
 };
 
-__device__ __forceinline__ Entry load_entry(const Scratch& s, int place) {
-  const float4* b = s.boxes + 2 * static_cast<std::ptrdiff_t>(place);
-  return {__ldg(b), __ldg(b + 1)};
+__device__ __forceinline__ Entry load_entry(const Scratch& s, const Diagonal& diagonal, int place) {
+  const float4* record = s.records + 2 * static_cast<std::ptrdiff_t>(place);
+  const float4 low = __ldg(record), rest = __ldg(record + 1);
+  const SweptBox box =
+      collision::expand(diagonal, {{low.x, low.y, low.z}, __float_as_uint(rest.x), __float_as_uint(rest.y)});
+  return {low,
+          {box.high[0], box.high[1], box.high[2], rest.z},
+          {box.along_low, box.along_high},
+          __float_as_int(rest.w)};
 }
 
-__device__ __forceinline__ bool overlap(const Entry& p, const Entry& q) {
+__device__ __forceinline__ bool boxes_overlap(const Entry& p, const Entry& q) {
   return (p.low.x <= q.high.x) & (q.low.x <= p.high.x) & (p.low.y <= q.high.y) & (q.low.y <= p.high.y) &
          (p.low.z <= q.high.z) & (q.low.z <= p.high.z);
 }
 
-// Boxes overlap and their edges share no vertex. No short cuts: ten comparisons cost less than a branch.
+// Boxes overlap, also along the diagonal, and their edges share no vertex. No short cuts: twelve comparisons
+// cost less than a branch.
 __device__ __forceinline__ bool is_candidate(const Entry& p, const Entry& q) {
   const int a = __float_as_int(p.low.w), b = __float_as_int(p.high.w);
   const int c = __float_as_int(q.low.w), d = __float_as_int(q.high.w);
-  return overlap(p, q) & (a != c) & (a != d) & (b != c) & (b != d);
+  return boxes_overlap(p, q) & (p.along.x <= q.along.y) & (q.along.x <= p.along.y) & (a != c) & (a != d) &
+         (b != c) & (b != d);
 }
 
-// `size` (at most 32) candidates from `first` on against the boxes of all lanes. Which of them each lane hits
-// is kept in a mask, so that the comparisons run without a vote or a branch.
-__device__ __forceinline__ void compare(const Queues& q, int first, int size, const Entry& mine, bool walks,
-                                        int i, Narrow& narrow) {
+// What a lane has of a tile: the places first + lane, first + 32 + lane, ...
+struct Own {
+  static constexpr int count = Policy::edges_of_lane;
+
+  Entry entry[count];
+  int row[count];  // of cells; -1 where there is no edge
+  int place;       // of the first one
+
+  __device__ __forceinline__ int place_of(int k) const { return place + 32 * k; }
+};
+
+// `size` (at most 32) candidates from `first` on against the boxes that lanes have in `row`. Which of them
+// each box hits is kept in a mask, so that the comparisons run without a vote or a branch.
+__device__ __forceinline__ void compare(const Queues& q, int first, int size, const Own& own, int row,
+                                        Narrow& narrow) {
   constexpr int unrolled = 8;
-  unsigned hits = 0;
+  unsigned hits[Own::count] = {};
 #pragma unroll 1
   for (int base = 0; base < size; base += unrolled) {
-    unsigned some = 0;
+    unsigned some[Own::count] = {};
 #pragma unroll
     for (int k = 0; k < unrolled; ++k) {
       const int at = first + base + k;
-      if (is_candidate(mine, {q.low[at], q.high[at]})) some |= 1u << k;
-    }
-    hits |= some << base;
-  }
-  if (size < 32) hits &= (1u << size) - 1u;
-  // Pairs are met once, from the lower place. Candidates stand in the order of their places; only the first
-  // ones may come from the warp's own.
-  if (__any_sync(kAllLanes, walks && q.place[first] <= i)) {
-    int lower = 0;
+      const Entry other{q.low[at], q.high[at], {q.rest[at].x, q.rest[at].y}, 0};
 #pragma unroll
-    for (int step = 16; step > 0; step /= 2) {
-      const int at = lower + step - 1;
-      if (at < size && q.place[first + at] <= i) lower += step;
+      for (int mine = 0; mine < Own::count; ++mine)
+        if (is_candidate(own.entry[mine], other)) some[mine] |= 1u << k;
     }
-    if (lower < size && q.place[first + lower] <= i) ++lower;
-    hits = lower < 32 ? hits & (0xffffffffu << lower) : 0;
+#pragma unroll
+    for (int mine = 0; mine < Own::count; ++mine) hits[mine] |= some[mine] << base;
   }
-  narrow.add_all(walks ? hits : 0u, i, first);
+  const auto place = [&](int k) { return __float_as_int(q.rest[first + k].z); };
+#pragma unroll
+  for (int mine = 0; mine < Own::count; ++mine) {
+    const bool walks = own.row[mine] == row;
+    const int i = own.place_of(mine);
+    if (size < 32) hits[mine] &= (1u << size) - 1u;
+    // Pairs are met once, from the lower place. Candidates stand in the order of their places; only the first
+    // ones may come from the warp's own.
+    if (__any_sync(kAllLanes, walks && place(0) <= i)) {
+      int lower = 0;
+#pragma unroll
+      for (int step = 16; step > 0; step /= 2) {
+        const int at = lower + step - 1;
+        if (at < size && place(at) <= i) lower += step;
+      }
+      if (lower < size && place(lower) <= i) ++lower;
+      hits[mine] = lower < 32 ? hits[mine] & (0xffffffffu << lower) : 0;
+    }
+    narrow.add_all(walks ? hits[mine] : 0u, own.entry[mine].name(), first);
+  }
   __syncwarp();
 }
 
-// The largest number among the lanes that have `takes` set, the smallest number there is if none has.
-__device__ __forceinline__ float largest(float x, bool takes) {
-  return collision::decode(collision::warp_max(takes ? collision::encode(x) : 0x00800000u));
-}
-
-// The pairs of 32 places in a row, `i` of this lane (at or beyond `end`: none).
+// The pairs of a tile, the places from `first` on and before `end`.
 __device__ __forceinline__ void visit_neighbours(const Grid& grid, const Scratch& s, Queues& q,
-                                                 Narrow& narrow, int i, int end, int lane) {
-  Entry mine{};
-  int own_y = 0, own_z = 0;
-  const bool present = i < end;
-  if (present) {
-    mine = load_entry(s, i);
-    const SweptBox box{{mine.low.x, mine.low.y, mine.low.z}, {mine.high.x, mine.high.y, mine.high.z}};
-    own_y = grid.coordinate(box.centre(1), 1);
-    own_z = grid.coordinate(box.centre(2), 2);
+                                                 Narrow& narrow, int first, int end, int lane) {
+  Own own;
+  own.place = first + lane;
+  unsigned todo[Own::count];
+#pragma unroll
+  for (int k = 0; k < Own::count; ++k) {
+    own.entry[k] = Entry{};
+    own.row[k] = -1;
+    if (own.place_of(k) < end) {
+      own.entry[k] = load_entry(s, grid.diagonal, own.place_of(k));
+      const SweptBox box = own.entry[k].box();
+      own.row[k] = grid.coordinate(box.centre(2), 2) * grid.n[1] + grid.coordinate(box.centre(1), 1);
+    }
+    todo[k] = __ballot_sync(kAllLanes, own.row[k] >= 0);
   }
-  const int own_row = grid.row(own_y, own_z);
-  // Lanes whose boxes lie in the same row of cells walk together. Every vote and shuffle here is by all
-  // lanes, also by those without a place.
-  for (unsigned todo = __ballot_sync(kAllLanes, present); todo != 0;) {
-    const int leader = __ffs(static_cast<int>(todo)) - 1;
-    const int leading_row = __shfl_sync(kAllLanes, own_row, leader);
-    const bool walks = present && own_row == leading_row;
-    todo &= ~__ballot_sync(kAllLanes, walks);
+  // Boxes that lie in the same row of cells walk together. Every vote and shuffle here is by all lanes, also
+  // by those without a place.
+  for (;;) {
+    int leader = -1, row = 0;
+#pragma unroll
+    for (int k = 0; k < Own::count; ++k) {
+      if (leader < 0 && todo[k] != 0) {
+        const int from = __ffs(static_cast<int>(todo[k])) - 1;
+        row = __shfl_sync(kAllLanes, own.row[k], from);
+        leader = 32 * k + from;
+      }
+    }
+    if (leader < 0) break;
     // All rows before their own hold lower places only.
-    const int first_z = __shfl_sync(kAllLanes, own_z, leader);
-    const int first_y = __shfl_sync(kAllLanes, own_y, leader);
-    const int after = __shfl_sync(kAllLanes, i, leader) + 1;
-    Entry all{};  // the box around theirs
-    all.low.x = -largest(-mine.low.x, walks);
-    all.low.y = -largest(-mine.low.y, walks);
-    all.low.z = -largest(-mine.low.z, walks);
-    all.high.x = largest(mine.high.x, walks);
-    all.high.y = largest(mine.high.y, walks);
-    all.high.z = largest(mine.high.z, walks);
-    const int low_x = grid.coordinate(all.low.x - grid.reach[0], 0);
-    const int high_x = grid.coordinate(all.high.x + grid.reach[0], 0);
-    const int low_y = grid.coordinate(all.low.y - grid.reach[1], 1);
-    const int high_y = grid.coordinate(all.high.y + grid.reach[1], 1);
-    const int high_z = grid.coordinate(all.high.z + grid.reach[2], 2);
+    const int after = first + leader + 1;
+    const int first_z = row / grid.n[1], first_y = row - first_z * grid.n[1];
+    constexpr float least = -3.402823466e38f;
+    float low[3] = {least, least, least}, high[3] = {least, least, least};  // around theirs, low negated
+#pragma unroll
+    for (int k = 0; k < Own::count; ++k) {
+      const bool walks = own.row[k] == row;
+      todo[k] &= ~__ballot_sync(kAllLanes, walks);
+      if (walks) {
+        const SweptBox box = own.entry[k].box();
+#pragma unroll
+        for (int d = 0; d < 3; ++d) {
+          low[d] = fmaxf(low[d], -box.low[d]);
+          high[d] = fmaxf(high[d], box.high[d]);
+        }
+      }
+    }
+#pragma unroll
+    for (int d = 0; d < 3; ++d) {
+      low[d] = -collision::decode(collision::warp_max(collision::encode(low[d])));
+      high[d] = collision::decode(collision::warp_max(collision::encode(high[d])));
+    }
+    const Entry all{{low[0], low[1], low[2], 0.0f}, {high[0], high[1], high[2], 0.0f}, {0.0f, 0.0f}, 0};
+    const int low_x = grid.coordinate(low[0] - grid.reach[0], 0);
+    const int high_x = grid.coordinate(high[0] + grid.reach[0], 0);
+    const int low_y = grid.coordinate(low[1] - grid.reach[1], 1);
+    const int high_y = grid.coordinate(high[1] + grid.reach[1], 1);
+    const int high_z = grid.coordinate(high[2] + grid.reach[2], 2);
     int waiting = 0;
     // The rows of cells from their own on, 32 at a time: each lane looks up one.
     const int rows_y = high_y - low_y + 1, rows = (high_z - first_z + 1) * rows_y;
@@ -490,9 +519,9 @@ __device__ __forceinline__ void visit_neighbours(const Grid& grid, const Scratch
       int begin = 0, stop = 0;
       const int k = first_row + lane;
       if (k < rows) {
-        const int row = grid.row(low_y + k % rows_y, first_z + k / rows_y);
-        begin = max(s.starts[row + low_x], after);
-        stop = s.starts[row + high_x + 1];
+        const int cells = grid.row(low_y + k % rows_y, first_z + k / rows_y);
+        begin = max(s.starts[cells + low_x], after);
+        stop = s.starts[cells + high_x + 1];
       }
       for (unsigned filled = __ballot_sync(kAllLanes, begin < stop); filled != 0; filled &= filled - 1u) {
         const int from = __ffs(static_cast<int>(filled)) - 1;
@@ -500,73 +529,74 @@ __device__ __forceinline__ void visit_neighbours(const Grid& grid, const Scratch
         for (int base = __shfl_sync(kAllLanes, begin, from); base < row_stop; base += 32) {
           const int j = base + lane;
           Entry other{};
-          if (j < row_stop) other = load_entry(s, j);
-          const bool keep = j < row_stop && overlap(all, other);
+          if (j < row_stop) other = load_entry(s, grid.diagonal, j);
+          const bool keep = j < row_stop && boxes_overlap(all, other);
           const unsigned kept = __ballot_sync(kAllLanes, keep);
           if (keep) {
             const int at = waiting + __popc(kept & ((1u << lane) - 1u));
             q.low[at] = other.low;
             q.high[at] = other.high;
-            q.place[at] = j;
+            q.rest[at] = {other.along.x, other.along.y, __int_as_float(j), __int_as_float(other.edge)};
           }
           __syncwarp();
           waiting += __popc(kept);
           if (waiting >= 32) {
             waiting -= 32;
-            compare(q, waiting, 32, mine, walks, i, narrow);
+            compare(q, waiting, 32, own, row, narrow);
           }
         }
       }
     }
-    if (waiting > 0) compare(q, 0, waiting, mine, walks, i, narrow);
+    if (waiting > 0) compare(q, 0, waiting, own, row, narrow);
   }
 }
 
 // Large boxes, which stand behind the others, against every box: a warp takes a box and a chunk of
 // candidates.
-__device__ __forceinline__ void visit_large(const Scratch& s, Narrow& narrow, int small, int warp, int warps,
-                                            int lane) {
+__device__ __forceinline__ void visit_large(const Diagonal& diagonal, const Scratch& s, Narrow& narrow,
+                                            int small, int warp, int warps, int lane) {
   const int chunks = (s.m + Policy::large_chunk - 1) / Policy::large_chunk;
   const long long items = static_cast<long long>(s.m - small) * chunks;
   for (long long item = warp; item < items; item += warps) {
     const int i = small + static_cast<int>(item / chunks);
     const int begin = static_cast<int>(item % chunks) * Policy::large_chunk;
     const int stop = min(begin + Policy::large_chunk, s.m);
-    const Entry mine = load_entry(s, i);
+    const Entry mine = load_entry(s, diagonal, i);
     for (int base = begin; base < stop; base += 32) {
       const int j = base + lane;
+      Entry other{};
+      if (j < stop) other = load_entry(s, diagonal, j);
       // Two large boxes meet once.
-      const bool hit = j < stop && (j < small || j > i) && is_candidate(mine, load_entry(s, j));
-      narrow.add(hit, i, j);
+      const bool hit = j < stop && (j < small || j > i) && is_candidate(mine, other);
+      narrow.add(hit, mine.name(), other.name());
     }
   }
 }
 
 __global__ void __launch_bounds__(Policy::impact_threads, Policy::resident_warps / Policy::warps)
-    impacts(const __grid_constant__ Scratch s, float* toi, int tiles_of_block) {
+    impacts(const __grid_constant__ Scratch s, float* toi) {
   __shared__ Grid grid;
   __shared__ Queues queues[Policy::warps];
-  __shared__ int taken;
-  if (threadIdx.x == 0) {
-    grid = collision::make_grid(*s.sums, samples_of(s.m), s.cell_capacity, grid_shape());
-    taken = 0;
-  }
+  if (threadIdx.x == 0)
+    grid = collision::make_grid(s.head->sums, samples_of(s.m), s.cell_capacity, grid_shape());
   __syncthreads();
   const int lane = static_cast<int>(threadIdx.x) % 32, warp_of_block = static_cast<int>(threadIdx.x) / 32;
   const int warp = static_cast<int>(blockIdx.x) * Policy::warps + warp_of_block;
   const int warps = static_cast<int>(gridDim.x) * Policy::warps;
   const int small = s.starts[s.cell_capacity];
+  const int tiles = (small + Policy::tile - 1) / Policy::tile;
   Narrow narrow(s, toi, queues[warp_of_block], lane);
-  // Its queues stay filled from tile to tile, so that few batches are partial.
+  // The queue of pairs stays filled from tile to tile, so that few batches are partial. The next tile's
+  // number is on its way while the last one is worked on.
+  int next = 0;
+  if (lane == 0) next = atomicAdd(&s.head->tiles_taken, 1);
   for (;;) {
-    int tile = 0;
-    if (lane == 0) tile = atomicAdd(&taken, 1);
-    tile = __shfl_sync(kAllLanes, tile, 0);
-    const std::int64_t first = 32 * (static_cast<std::int64_t>(blockIdx.x) * tiles_of_block + tile);
-    if (tile >= tiles_of_block || first >= small) break;
-    visit_neighbours(grid, s, queues[warp_of_block], narrow, static_cast<int>(first) + lane, small, lane);
+    const int tile = __shfl_sync(kAllLanes, next, 0);
+    if (tile >= tiles) break;
+    if (lane == 0) next = atomicAdd(&s.head->tiles_taken, 1);
+    visit_neighbours(grid, s, queues[warp_of_block], narrow, Policy::tile * tile, small, lane);
   }
-  visit_large(s, narrow, small, warp, warps, lane);
+  visit_large(grid.diagonal, s, narrow, small, warp, warps, lane);
   narrow.finish();
 }
 
@@ -582,13 +612,11 @@ class Reference {
       throw std::runtime_error("ccd_ee: too many edges or vertices for 32-bit places");
     const std::size_t count = static_cast<std::size_t>(m);
     cells_ = m + collision::kLeastCells;
-    // The sums stand before the counts, so that one memset clears both.
-    counters_ = DeviceBuffer<std::int32_t>(static_cast<std::size_t>(kSumsWords + cells_ + 1));
+    counters_ = DeviceBuffer<std::int32_t>(static_cast<std::size_t>(kHeadWords + cells_ + 1));
     vertices_ = DeviceBuffer<float4>(2 * static_cast<std::size_t>(in.x0.shape[0]));
     box_of_edge_ = DeviceBuffer<float4>(2 * count);
     cell_and_rank_ = DeviceBuffer<int2>(count);
-    order_ = DeviceBuffer<std::int32_t>(count);
-    boxes_ = DeviceBuffer<float4>(2 * count);
+    records_ = DeviceBuffer<float4>(2 * count);
     scan_bytes_ = primitives::exclusive_sum_bytes(cells_ + 1);
     scan_ = DeviceBuffer<unsigned char>(scan_bytes_);
   }
@@ -598,17 +626,16 @@ class Reference {
     if (m == 0) return;
     const int n = static_cast<int>(in.x0.shape[0]);
     const Mesh mesh{in.x0.data, in.x1.data, reinterpret_cast<const int2*>(in.edges.data), n, m};
-    const Scratch s{reinterpret_cast<SceneSums*>(counters_.get()),
-                    counters_.get() + kSumsWords,
+    const Scratch s{reinterpret_cast<Head*>(counters_.get()),
+                    counters_.get() + kHeadWords,
                     vertices_.get(),
                     box_of_edge_.get(),
                     cell_and_rank_.get(),
-                    order_.get(),
-                    boxes_.get(),
+                    records_.get(),
                     static_cast<int>(cells_),
                     m};
     GPUPHYS_CUDA(cudaMemsetAsync(counters_.get(), 0,
-                                 sizeof(std::int32_t) * static_cast<std::size_t>(kSumsWords + cells_ + 1)));
+                                 sizeof(std::int32_t) * static_cast<std::size_t>(kHeadWords + cells_ + 1)));
     const auto at_most = [](unsigned blocks) {
       return std::min(blocks, static_cast<unsigned>(Policy::edge_blocks));
     };
@@ -618,22 +645,20 @@ class Reference {
     count<<<at_most(blocks_for(m, Policy::edge_threads)), Policy::edge_threads>>>(mesh, s, out.toi.data);
     primitives::exclusive_sum(scan_.get(), scan_bytes_, s.starts, s.starts, cells_ + 1);
     place<<<blocks_for(halves, Policy::edge_threads), Policy::edge_threads>>>(s);
-    const std::int64_t tiles = (static_cast<std::int64_t>(m) + 31) / 32;
-    const int tiles_of_block =
-        Policy::warps * static_cast<int>(std::clamp<std::int64_t>(
-                            tiles / (2 * Policy::warps * Policy::resident_blocks), 1, Policy::tiles_of_warp));
-    impacts<<<blocks_for(tiles, tiles_of_block), Policy::impact_threads>>>(s, out.toi.data, tiles_of_block);
+    // A warp takes tile after tile.
+    const unsigned blocks =
+        std::min(blocks_for(m, Policy::tile * Policy::warps), static_cast<unsigned>(Policy::resident_blocks));
+    impacts<<<blocks, Policy::impact_threads>>>(s, out.toi.data);
   }
 
  private:
-  static constexpr std::int64_t kSumsWords = 64;  // keeps the counts aligned to 256 bytes
-  static_assert(sizeof(SceneSums) <= 4 * kSumsWords);
+  static constexpr std::int64_t kHeadWords = sizeof(Head) / sizeof(std::int32_t);
 
   std::int64_t cells_ = 0;
   std::size_t scan_bytes_ = 0;
-  DeviceBuffer<std::int32_t> counters_, order_;
+  DeviceBuffer<std::int32_t> counters_;
   DeviceBuffer<int2> cell_and_rank_;
-  DeviceBuffer<float4> vertices_, box_of_edge_, boxes_;
+  DeviceBuffer<float4> vertices_, box_of_edge_, records_;
   DeviceBuffer<unsigned char> scan_;
 };
 
