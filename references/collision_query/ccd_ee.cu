@@ -47,14 +47,14 @@ struct Policy {
 #ifdef GPUPHYS_OTHER_BLOCKS
   static constexpr int edge_threads = 128;  // one thread an edge
   static constexpr int warps = 2;           // of a block of `impacts`
-  static constexpr int edges_of_lane = 1;   // there, in a tile
+  static constexpr int edges_of_lane = 2;   // there, in a tile
   static constexpr float cell_over_extent[3] = {0.7f, 0.7f, 0.7f};
   static constexpr int sampled_edges = 1000;
   static constexpr float large_over_extent = 8.0f;
 #else
   static constexpr int edge_threads = 256;
   static constexpr int warps = 4;
-  static constexpr int edges_of_lane = 2;
+  static constexpr int edges_of_lane = 1;
   // Fine along x, where a warp reads a range of cells; along y and z smaller cells mean more, shorter ranges.
   static constexpr float cell_over_extent[3] = {0.5f, 1.4f, 2.0f};
   static constexpr int sampled_edges = 65536;  // for the mean extent
