@@ -47,14 +47,12 @@ struct Policy {
 #ifdef GPUPHYS_OTHER_BLOCKS
   static constexpr int edge_threads = 128;  // one thread an edge
   static constexpr int warps = 2;           // of a block of `impacts`
-  static constexpr int edges_of_lane = 2;   // there, in a tile
   static constexpr float cell_over_extent[3] = {0.7f, 0.7f, 0.7f};
   static constexpr int sampled_edges = 1000;
   static constexpr float large_over_extent = 8.0f;
 #else
   static constexpr int edge_threads = 256;
   static constexpr int warps = 4;
-  static constexpr int edges_of_lane = 1;
   // Fine along x, where a warp reads a range of cells; along y and z smaller cells mean more, shorter ranges.
   static constexpr float cell_over_extent[3] = {0.5f, 1.4f, 2.0f};
   static constexpr int sampled_edges = 65536;  // for the mean extent
@@ -69,7 +67,6 @@ struct Policy {
 #endif
   static constexpr int impact_threads = 32 * warps;
   static constexpr int resident_blocks = 132 * resident_warps / warps;
-  static constexpr int tile = 32 * edges_of_lane;  // places
 };
 
 constexpr unsigned kAllLanes = 0xffffffffu;
@@ -271,15 +268,10 @@ __device__ __forceinline__ bool meet(float3 u, float3 v, float3 w) {
   return crossing && s >= 0.0f && s <= nn && r >= 0.0f && r <= nn;
 }
 
-// The vertices of an edge and its number.
-struct EdgeName {
-  int a, b, edge;
-};
-
 // What a warp keeps in shared memory: candidates, of which up to 31 wait, and the pairs to resolve.
 struct Queues {
-  float4 low[64], high[64];  // with the vertices
-  float4 rest[64];           // interval along the diagonal, place, number of the edge
+  int4 boxes[64];  // packed, with the vertices
+  int2 names[64];  // place, number of the edge
   int4 vertices[64];
   int2 edges[64];
 };
@@ -314,33 +306,20 @@ class Narrow {
   __device__ __forceinline__ Narrow(const Scratch& s, float* toi, Queues& queues, int lane)
       : s_(s), toi_(toi), queues_(queues), lane_(lane) {}
 
-  // All lanes call it; those with `hit` bring the pair of p and q.
-  __device__ __forceinline__ void add(bool hit, const EdgeName& p, const EdgeName& q) {
+  // All lanes call it; those with `hit` bring a pair: two vertices of each edge, and the edges' numbers.
+  __device__ __forceinline__ void add(bool hit, int4 vertices, int2 edges) {
     const unsigned hits = __ballot_sync(kAllLanes, hit);
     if (hits == 0) return;
     if (hit) {
       const int at = pairs_ + __popc(hits & ((1u << lane_) - 1u));
-      queues_.vertices[at] = {p.a, p.b, q.a, q.b};
-      queues_.edges[at] = {p.edge, q.edge};
+      queues_.vertices[at] = vertices;
+      queues_.edges[at] = edges;
     }
     __syncwarp();
     pairs_ += __popc(hits);
     if (pairs_ >= 32) {
       pairs_ -= 32;
       resolve(s_, toi_, true, queues_.vertices[pairs_ + lane_], queues_.edges[pairs_ + lane_]);
-    }
-  }
-
-  // All lanes call it: a bit of `hits` stands for the pair of p with the candidate of that number from
-  // `first` on.
-  __device__ __forceinline__ void add_all(unsigned hits, const EdgeName& p, int first) {
-#pragma unroll 1
-    while (__any_sync(kAllLanes, hits != 0)) {
-      const int at = first + max(__ffs(static_cast<int>(hits)) - 1, 0);
-      add(hits != 0, p,
-          {__float_as_int(queues_.low[at].w), __float_as_int(queues_.high[at].w),
-           __float_as_int(queues_.rest[at].w)});
-      hits &= hits - 1u;
     }
   }
 
@@ -366,9 +345,8 @@ struct Entry {
   float2 along;
   int edge;
 
-  __device__ __forceinline__ EdgeName name() const {
-    return {__float_as_int(low.w), __float_as_int(high.w), edge};
-  }
+  __device__ __forceinline__ int a() const { return __float_as_int(low.w); }
+  __device__ __forceinline__ int b() const { return __float_as_int(high.w); }
   __device__ __forceinline__ SweptBox box() const {
     return {{low.x, low.y, low.z}, {high.x, high.y, high.z}, along.x, along.y};
   }
@@ -385,169 +363,194 @@ __device__ __forceinline__ Entry load_entry(const Scratch& s, const Diagonal& di
           __float_as_int(rest.w)};
 }
 
-__device__ __forceinline__ bool boxes_overlap(const Entry& p, const Entry& q) {
+// No short cuts, here and below: comparisons cost less than a branch.
+__device__ __forceinline__ bool overlap(const Entry& p, const Entry& q) {
   return (p.low.x <= q.high.x) & (q.low.x <= p.high.x) & (p.low.y <= q.high.y) & (q.low.y <= p.high.y) &
-         (p.low.z <= q.high.z) & (q.low.z <= p.high.z);
+         (p.low.z <= q.high.z) & (q.low.z <= p.high.z) & (p.along.x <= q.along.y) & (q.along.x <= p.along.y);
 }
 
-// Boxes overlap, also along the diagonal, and their edges share no vertex. No short cuts: twelve comparisons
-// cost less than a branch.
-__device__ __forceinline__ bool is_candidate(const Entry& p, const Entry& q) {
-  const int a = __float_as_int(p.low.w), b = __float_as_int(p.high.w);
-  const int c = __float_as_int(q.low.w), d = __float_as_int(q.high.w);
-  return boxes_overlap(p, q) & (p.along.x <= q.along.y) & (q.along.x <= p.along.y) & (a != c) & (a != d) &
-         (b != c) & (b != d);
+__device__ __forceinline__ bool share_no_vertex(int a, int b, int c, int d) {
+  return (a != c) & (a != d) & (b != c) & (b != d);
 }
 
-// What a lane has of a tile: the places first + lane, first + 32 + lane, ...
-struct Own {
-  static constexpr int count = Policy::edges_of_lane;
+// Boxes on a coarse scale: that of the box around those of a tile, which ends where the scale does; what is
+// beyond counts as at its end. A word has the lower ends along x, y, z and the diagonal, in 7, 7, 6 and 8
+// bits, another the upper ones; above each is a guard bit. Lower and upper ends go through the same monotone
+// function, so boxes that overlap do so on this scale too, whatever the rounding.
+class Scale {
+ public:
+  // From the box around a tile.
+  __device__ __forceinline__ explicit Scale(const Entry& all)
+      : x_(all.low.x, all.high.x),
+        y_(all.low.y, all.high.y),
+        z_(all.low.z, all.high.z),
+        along_(all.along.x, all.along.y) {}
 
-  Entry entry[count];
-  int row[count];  // of cells; -1 where there is no edge
-  int place;       // of the first one
+  // The box with the vertices of its edge. Guard bits of the upper ends are set.
+  __device__ __forceinline__ int4 pack(const Entry& e) const {
+    const unsigned low = word(e.low.x, e.low.y, e.low.z, e.along.x);
+    const unsigned high = word(e.high.x, e.high.y, e.high.z, e.along.y) + kGuards;
+    return {static_cast<int>(low), static_cast<int>(high), e.a(), e.b()};
+  }
 
-  __device__ __forceinline__ int place_of(int k) const { return place + 32 * k; }
+  // A guard bit of the difference stays set where no lower end is above the upper one.
+  __device__ __forceinline__ static bool overlap(int4 p, int4 q) {
+    return (static_cast<unsigned>(p.y - q.x) & static_cast<unsigned>(q.y - p.x) & kGuards) == kGuards;
+  }
+
+ private:
+  struct Axis {
+    float factor, offset;
+
+    __device__ __forceinline__ Axis(float low, float high)
+        : factor(1.0f / fmaxf(high - low, 1e-30f)), offset(-low * factor) {}
+    // 0 to 2^bits - 1, in the lower bits of a number above 2^23.
+    __device__ __forceinline__ unsigned at(float x, int bits) const {
+      const float top = static_cast<float>((1 << bits) - 1);
+      return __float_as_uint(__saturatef(x * factor + offset) * top + 0x1p23f);
+    }
+  };
+
+  __device__ __forceinline__ unsigned word(float x, float y, float z, float along) const {
+    constexpr unsigned above = 0x4b000000u;  // the bits of 2^23
+    return x_.at(x, 7) + (y_.at(y, 7) << 8) + (z_.at(z, 6) << 16) + (along_.at(along, 8) << 23) -
+           (above + (above << 8) + (above << 16) + (above << 23));
+  }
+
+  static constexpr unsigned kGuards = 1u << 7 | 1u << 15 | 1u << 22 | 1u << 31;
+  Axis x_, y_, z_, along_;
 };
 
-// `size` (at most 32) candidates from `first` on against the boxes that lanes have in `row`. Which of them
-// each box hits is kept in a mask, so that the comparisons run without a vote or a branch.
-__device__ __forceinline__ void compare(const Queues& q, int first, int size, const Own& own, int row,
-                                        Narrow& narrow) {
+// `size` (at most 32) candidates from `first` on against the boxes of all lanes, which have the places i.
+// Which of them each lane hits is kept in a mask, so that the comparisons run without a vote or a branch.
+__device__ __forceinline__ void compare(const Queues& q, int first, int size, int4 mine, bool walks, int i,
+                                        int edge, Narrow& narrow) {
   constexpr int unrolled = 8;
-  unsigned hits[Own::count] = {};
+  unsigned hits = 0;
 #pragma unroll 1
   for (int base = 0; base < size; base += unrolled) {
-    unsigned some[Own::count] = {};
+    unsigned some = 0;
 #pragma unroll
     for (int k = 0; k < unrolled; ++k) {
-      const int at = first + base + k;
-      const Entry other{q.low[at], q.high[at], {q.rest[at].x, q.rest[at].y}, 0};
-#pragma unroll
-      for (int mine = 0; mine < Own::count; ++mine)
-        if (is_candidate(own.entry[mine], other)) some[mine] |= 1u << k;
+      const int4 other = q.boxes[first + base + k];
+      if (Scale::overlap(mine, other) & share_no_vertex(mine.z, mine.w, other.z, other.w)) some |= 1u << k;
     }
-#pragma unroll
-    for (int mine = 0; mine < Own::count; ++mine) hits[mine] |= some[mine] << base;
+    hits |= some << base;
   }
-  const auto place = [&](int k) { return __float_as_int(q.rest[first + k].z); };
+  if (size < 32) hits &= (1u << size) - 1u;
+  // Pairs are met once, from the lower place. Candidates stand in the order of their places; only the first
+  // ones may come from the warp's own.
+  if (__any_sync(kAllLanes, walks && q.names[first].x <= i)) {
+    int lower = 0;
 #pragma unroll
-  for (int mine = 0; mine < Own::count; ++mine) {
-    const bool walks = own.row[mine] == row;
-    const int i = own.place_of(mine);
-    if (size < 32) hits[mine] &= (1u << size) - 1u;
-    // Pairs are met once, from the lower place. Candidates stand in the order of their places; only the first
-    // ones may come from the warp's own.
-    if (__any_sync(kAllLanes, walks && place(0) <= i)) {
-      int lower = 0;
-#pragma unroll
-      for (int step = 16; step > 0; step /= 2) {
-        const int at = lower + step - 1;
-        if (at < size && place(at) <= i) lower += step;
-      }
-      if (lower < size && place(lower) <= i) ++lower;
-      hits[mine] = lower < 32 ? hits[mine] & (0xffffffffu << lower) : 0;
+    for (int step = 16; step > 0; step /= 2) {
+      const int at = lower + step - 1;
+      if (at < size && q.names[first + at].x <= i) lower += step;
     }
-    narrow.add_all(walks ? hits[mine] : 0u, own.entry[mine].name(), first);
+    if (lower < size && q.names[first + lower].x <= i) ++lower;
+    hits = lower < 32 ? hits & (0xffffffffu << lower) : 0;
+  }
+  if (!walks) hits = 0;
+#pragma unroll 1
+  while (__any_sync(kAllLanes, hits != 0)) {
+    const int at = first + max(__ffs(static_cast<int>(hits)) - 1, 0);
+    narrow.add(hits != 0, {mine.z, mine.w, q.boxes[at].z, q.boxes[at].w}, {edge, q.names[at].y});
+    hits &= hits - 1u;
   }
   __syncwarp();
 }
 
-// The pairs of a tile, the places from `first` on and before `end`.
+// The largest number among the lanes.
+__device__ __forceinline__ float largest(float x) {
+  return collision::decode(collision::warp_max(collision::encode(x)));
+}
+
+// The pairs of a tile, the 32 places from `first` on, those before `end`.
 __device__ __forceinline__ void visit_neighbours(const Grid& grid, const Scratch& s, Queues& q,
                                                  Narrow& narrow, int first, int end, int lane) {
-  Own own;
-  own.place = first + lane;
-  unsigned todo[Own::count];
-#pragma unroll
-  for (int k = 0; k < Own::count; ++k) {
-    own.entry[k] = Entry{};
-    own.row[k] = -1;
-    if (own.place_of(k) < end) {
-      own.entry[k] = load_entry(s, grid.diagonal, own.place_of(k));
-      const SweptBox box = own.entry[k].box();
-      own.row[k] = grid.coordinate(box.centre(2), 2) * grid.n[1] + grid.coordinate(box.centre(1), 1);
-    }
-    todo[k] = __ballot_sync(kAllLanes, own.row[k] >= 0);
+  const int i = first + lane;
+  Entry mine{};
+  int own_row = -1;  // of cells
+  if (i < end) {
+    mine = load_entry(s, grid.diagonal, i);
+    const SweptBox box = mine.box();
+    own_row = grid.coordinate(box.centre(2), 2) * grid.n[1] + grid.coordinate(box.centre(1), 1);
   }
-  // Boxes that lie in the same row of cells walk together. Every vote and shuffle here is by all lanes, also
-  // by those without a place.
-  for (;;) {
-    int leader = -1, row = 0;
-#pragma unroll
-    for (int k = 0; k < Own::count; ++k) {
-      if (leader < 0 && todo[k] != 0) {
-        const int from = __ffs(static_cast<int>(todo[k])) - 1;
-        row = __shfl_sync(kAllLanes, own.row[k], from);
-        leader = 32 * k + from;
-      }
-    }
-    if (leader < 0) break;
+  // Lanes whose boxes lie in the same row of cells walk together. Every vote and shuffle here is by all
+  // lanes, also by those without a place.
+  for (unsigned todo = __ballot_sync(kAllLanes, own_row >= 0); todo != 0;) {
+    const int leader = __ffs(static_cast<int>(todo)) - 1;
+    const int row = __shfl_sync(kAllLanes, own_row, leader);
+    const bool walks = own_row == row;
+    todo &= ~__ballot_sync(kAllLanes, walks);
     // All rows before their own hold lower places only.
     const int after = first + leader + 1;
     const int first_z = row / grid.n[1], first_y = row - first_z * grid.n[1];
     constexpr float least = -3.402823466e38f;
-    float low[3] = {least, least, least}, high[3] = {least, least, least};  // around theirs, low negated
-#pragma unroll
-    for (int k = 0; k < Own::count; ++k) {
-      const bool walks = own.row[k] == row;
-      todo[k] &= ~__ballot_sync(kAllLanes, walks);
-      if (walks) {
-        const SweptBox box = own.entry[k].box();
-#pragma unroll
-        for (int d = 0; d < 3; ++d) {
-          low[d] = fmaxf(low[d], -box.low[d]);
-          high[d] = fmaxf(high[d], box.high[d]);
-        }
-      }
-    }
-#pragma unroll
-    for (int d = 0; d < 3; ++d) {
-      low[d] = -collision::decode(collision::warp_max(collision::encode(low[d])));
-      high[d] = collision::decode(collision::warp_max(collision::encode(high[d])));
-    }
-    const Entry all{{low[0], low[1], low[2], 0.0f}, {high[0], high[1], high[2], 0.0f}, {0.0f, 0.0f}, 0};
-    const int low_x = grid.coordinate(low[0] - grid.reach[0], 0);
-    const int high_x = grid.coordinate(high[0] + grid.reach[0], 0);
-    const int low_y = grid.coordinate(low[1] - grid.reach[1], 1);
-    const int high_y = grid.coordinate(high[1] + grid.reach[1], 1);
-    const int high_z = grid.coordinate(high[2] + grid.reach[2], 2);
-    int waiting = 0;
+    Entry all{};  // the box around theirs
+    all.low.x = -largest(walks ? -mine.low.x : least);
+    all.low.y = -largest(walks ? -mine.low.y : least);
+    all.low.z = -largest(walks ? -mine.low.z : least);
+    all.high.x = largest(walks ? mine.high.x : least);
+    all.high.y = largest(walks ? mine.high.y : least);
+    all.high.z = largest(walks ? mine.high.z : least);
+    all.along.x = -largest(walks ? -mine.along.x : least);
+    all.along.y = largest(walks ? mine.along.y : least);
+    const Scale scale(all);
+    const int4 packed = scale.pack(mine);
+    const int low_x = grid.coordinate(all.low.x - grid.reach[0], 0);
+    const int high_x = grid.coordinate(all.high.x + grid.reach[0], 0);
+    const int low_y = grid.coordinate(all.low.y - grid.reach[1], 1);
+    const int high_y = grid.coordinate(all.high.y + grid.reach[1], 1);
+    const int high_z = grid.coordinate(all.high.z + grid.reach[2], 2);
     // The rows of cells from their own on, 32 at a time: each lane looks up one.
     const int rows_y = high_y - low_y + 1, rows = (high_z - first_z + 1) * rows_y;
-    for (int first_row = first_y - low_y; first_row < rows; first_row += 32) {
-      int begin = 0, stop = 0;
-      const int k = first_row + lane;
-      if (k < rows) {
-        const int cells = grid.row(low_y + k % rows_y, first_z + k / rows_y);
-        begin = max(s.starts[cells + low_x], after);
-        stop = s.starts[cells + high_x + 1];
-      }
-      for (unsigned filled = __ballot_sync(kAllLanes, begin < stop); filled != 0; filled &= filled - 1u) {
-        const int from = __ffs(static_cast<int>(filled)) - 1;
-        const int row_stop = __shfl_sync(kAllLanes, stop, from);
-        for (int base = __shfl_sync(kAllLanes, begin, from); base < row_stop; base += 32) {
-          const int j = base + lane;
-          Entry other{};
-          if (j < row_stop) other = load_entry(s, grid.diagonal, j);
-          const bool keep = j < row_stop && boxes_overlap(all, other);
-          const unsigned kept = __ballot_sync(kAllLanes, keep);
-          if (keep) {
-            const int at = waiting + __popc(kept & ((1u << lane) - 1u));
-            q.low[at] = other.low;
-            q.high[at] = other.high;
-            q.rest[at] = {other.along.x, other.along.y, __int_as_float(j), __int_as_float(other.edge)};
+    int next_row = first_y - low_y, begin = 0, stop = 0;
+    unsigned filled = 0;  // lanes whose row has candidates left
+    int base = 0, row_stop = 0, waiting = 0;
+    bool more = true;
+    do {
+      if (base >= row_stop) {
+        while (filled == 0 && next_row < rows) {
+          begin = stop = 0;
+          const int k = next_row + lane;
+          if (k < rows) {
+            const int cells = grid.row(low_y + k % rows_y, first_z + k / rows_y);
+            begin = max(s.starts[cells + low_x], after);
+            stop = s.starts[cells + high_x + 1];
           }
-          __syncwarp();
-          waiting += __popc(kept);
-          if (waiting >= 32) {
-            waiting -= 32;
-            compare(q, waiting, 32, own, row, narrow);
-          }
+          filled = __ballot_sync(kAllLanes, begin < stop);
+          next_row += 32;
+        }
+        more = filled != 0;
+        if (more) {
+          const int from = __ffs(static_cast<int>(filled)) - 1;
+          base = __shfl_sync(kAllLanes, begin, from);
+          row_stop = __shfl_sync(kAllLanes, stop, from);
+          filled &= filled - 1u;
         }
       }
-    }
-    if (waiting > 0) compare(q, 0, waiting, own, row, narrow);
+      if (more) {
+        const int j = base + lane;
+        Entry other{};
+        if (j < row_stop) other = load_entry(s, grid.diagonal, j);
+        const bool keep = j < row_stop && overlap(all, other);
+        const unsigned kept = __ballot_sync(kAllLanes, keep);
+        if (keep) {
+          const int at = waiting + __popc(kept & ((1u << lane) - 1u));
+          q.boxes[at] = scale.pack(other);
+          q.names[at] = {j, other.edge};
+        }
+        __syncwarp();
+        waiting += __popc(kept);
+        base += 32;
+      }
+      if (waiting >= 32 || (!more && waiting > 0)) {
+        const int size = min(waiting, 32);
+        waiting -= size;
+        compare(q, waiting, size, packed, walks, i, mine.edge, narrow);
+      }
+    } while (more);
   }
 }
 
@@ -567,8 +570,9 @@ __device__ __forceinline__ void visit_large(const Diagonal& diagonal, const Scra
       Entry other{};
       if (j < stop) other = load_entry(s, diagonal, j);
       // Two large boxes meet once.
-      const bool hit = j < stop && (j < small || j > i) && is_candidate(mine, other);
-      narrow.add(hit, mine.name(), other.name());
+      const bool hit = j < stop && (j < small || j > i) && overlap(mine, other) &&
+                       share_no_vertex(mine.a(), mine.b(), other.a(), other.b());
+      narrow.add(hit, {mine.a(), mine.b(), other.a(), other.b()}, {mine.edge, other.edge});
     }
   }
 }
@@ -584,7 +588,7 @@ __global__ void __launch_bounds__(Policy::impact_threads, Policy::resident_warps
   const int warp = static_cast<int>(blockIdx.x) * Policy::warps + warp_of_block;
   const int warps = static_cast<int>(gridDim.x) * Policy::warps;
   const int small = s.starts[s.cell_capacity];
-  const int tiles = (small + Policy::tile - 1) / Policy::tile;
+  const int tiles = (small + 31) / 32;
   Narrow narrow(s, toi, queues[warp_of_block], lane);
   // The queue of pairs stays filled from tile to tile, so that few batches are partial. The next tile's
   // number is on its way while the last one is worked on.
@@ -594,7 +598,7 @@ __global__ void __launch_bounds__(Policy::impact_threads, Policy::resident_warps
     const int tile = __shfl_sync(kAllLanes, next, 0);
     if (tile >= tiles) break;
     if (lane == 0) next = atomicAdd(&s.head->tiles_taken, 1);
-    visit_neighbours(grid, s, queues[warp_of_block], narrow, Policy::tile * tile, small, lane);
+    visit_neighbours(grid, s, queues[warp_of_block], narrow, 32 * tile, small, lane);
   }
   visit_large(grid.diagonal, s, narrow, small, warp, warps, lane);
   narrow.finish();
@@ -647,7 +651,7 @@ class Reference {
     place<<<blocks_for(halves, Policy::edge_threads), Policy::edge_threads>>>(s);
     // A warp takes tile after tile.
     const unsigned blocks =
-        std::min(blocks_for(m, Policy::tile * Policy::warps), static_cast<unsigned>(Policy::resident_blocks));
+        std::min(blocks_for(m, 32 * Policy::warps), static_cast<unsigned>(Policy::resident_blocks));
     impacts<<<blocks, Policy::impact_threads>>>(s, out.toi.data);
   }
 
