@@ -54,7 +54,7 @@ struct Policy {
   static constexpr int edge_threads = 256;
   static constexpr int warps = 4;
   // Fine along x, where a warp reads a range of cells; along y and z smaller cells mean more, shorter ranges.
-  static constexpr float cell_over_extent[3] = {0.5f, 1.4f, 2.0f};
+  static constexpr float cell_over_extent[3] = {0.35f, 1.4f, 2.5f};
   static constexpr int sampled_edges = 65536;  // for the mean extent
   static constexpr float large_over_extent = 4.0f;
 #endif
@@ -403,7 +403,7 @@ class Scale {
     float factor, offset;
 
     __device__ __forceinline__ Axis(float low, float high)
-        : factor(1.0f / fmaxf(high - low, 1e-30f)), offset(-low * factor) {}
+        : factor(__fdividef(1.0f, fmaxf(high - low, 1e-30f))), offset(-low * factor) {}
     // 0 to 2^bits - 1, in the lower bits of a number above 2^23.
     __device__ __forceinline__ unsigned at(float x, int bits) const {
       const float top = static_cast<float>((1 << bits) - 1);
@@ -470,11 +470,12 @@ __device__ __forceinline__ void visit_neighbours(const Grid& grid, const Scratch
                                                  Narrow& narrow, int first, int end, int lane) {
   const int i = first + lane;
   Entry mine{};
-  int own_row = -1;  // of cells
+  int own_row = -1, own_z = 0;  // of cells
   if (i < end) {
     mine = load_entry(s, grid.diagonal, i);
     const SweptBox box = mine.box();
-    own_row = grid.coordinate(box.centre(2), 2) * grid.n[1] + grid.coordinate(box.centre(1), 1);
+    own_z = grid.coordinate(box.centre(2), 2);
+    own_row = own_z * grid.n[1] + grid.coordinate(box.centre(1), 1);
   }
   // Lanes whose boxes lie in the same row of cells walk together. Every vote and shuffle here is by all
   // lanes, also by those without a place.
@@ -485,7 +486,7 @@ __device__ __forceinline__ void visit_neighbours(const Grid& grid, const Scratch
     todo &= ~__ballot_sync(kAllLanes, walks);
     // All rows before their own hold lower places only.
     const int after = first + leader + 1;
-    const int first_z = row / grid.n[1], first_y = row - first_z * grid.n[1];
+    const int first_z = __shfl_sync(kAllLanes, own_z, leader), first_y = row - first_z * grid.n[1];
     constexpr float least = -3.402823466e38f;
     Entry all{};  // the box around theirs
     all.low.x = -largest(walks ? -mine.low.x : least);
@@ -615,7 +616,7 @@ class Reference {
     if (m > (std::int64_t{1} << 29) || in.x0.shape[0] > (std::int64_t{1} << 30))
       throw std::runtime_error("ccd_ee: too many edges or vertices for 32-bit places");
     const std::size_t count = static_cast<std::size_t>(m);
-    cells_ = m + collision::kLeastCells;
+    cells_ = m / 2 + collision::kLeastCells;
     counters_ = DeviceBuffer<std::int32_t>(static_cast<std::size_t>(kHeadWords + cells_ + 1));
     vertices_ = DeviceBuffer<float4>(2 * static_cast<std::size_t>(in.x0.shape[0]));
     box_of_edge_ = DeviceBuffer<float4>(2 * count);
