@@ -352,15 +352,22 @@ struct Entry {
   }
 };
 
-__device__ __forceinline__ Entry load_entry(const Scratch& s, const Diagonal& diagonal, int place) {
+struct Record {
+  float4 low, rest;
+};
+
+__device__ __forceinline__ Record load_record(const Scratch& s, int place) {
   const float4* record = s.records + 2 * static_cast<std::ptrdiff_t>(place);
-  const float4 low = __ldg(record), rest = __ldg(record + 1);
-  const SweptBox box =
-      collision::expand(diagonal, {{low.x, low.y, low.z}, __float_as_uint(rest.x), __float_as_uint(rest.y)});
-  return {low,
-          {box.high[0], box.high[1], box.high[2], rest.z},
+  return {__ldg(record), __ldg(record + 1)};
+}
+
+__device__ __forceinline__ Entry entry_of(const Record& r, const Diagonal& diagonal) {
+  const SweptBox box = collision::expand(
+      diagonal, {{r.low.x, r.low.y, r.low.z}, __float_as_uint(r.rest.x), __float_as_uint(r.rest.y)});
+  return {r.low,
+          {box.high[0], box.high[1], box.high[2], r.rest.z},
           {box.along_low, box.along_high},
-          __float_as_int(rest.w)};
+          __float_as_int(r.rest.w)};
 }
 
 // No short cuts, here and below: comparisons cost less than a branch.
@@ -472,7 +479,7 @@ __device__ __forceinline__ void visit_neighbours(const Grid& grid, const Scratch
   Entry mine{};
   int own_row = -1, own_z = 0;  // of cells
   if (i < end) {
-    mine = load_entry(s, grid.diagonal, i);
+    mine = entry_of(load_record(s, i), grid.diagonal);
     const SweptBox box = mine.box();
     own_z = grid.coordinate(box.centre(2), 2);
     own_row = own_z * grid.n[1] + grid.coordinate(box.centre(1), 1);
@@ -507,10 +514,12 @@ __device__ __forceinline__ void visit_neighbours(const Grid& grid, const Scratch
     // The rows of cells from their own on, 32 at a time: each lane looks up one.
     const int rows_y = high_y - low_y + 1, rows = (high_z - first_z + 1) * rows_y;
     int next_row = first_y - low_y, begin = 0, stop = 0;
-    unsigned filled = 0;  // lanes whose row has candidates left
-    int base = 0, row_stop = 0, waiting = 0;
-    bool more = true;
-    do {
+    unsigned filled = 0;  // lanes whose row is yet to come
+    // The batch to come: 32 places from `base` on, those before `row_stop`.
+    int base = 0, row_stop = 0;
+    bool more = false;
+    const auto next_batch = [&] {
+      base += 32;
       if (base >= row_stop) {
         while (filled == 0 && next_row < rows) {
           begin = stop = 0;
@@ -524,18 +533,30 @@ __device__ __forceinline__ void visit_neighbours(const Grid& grid, const Scratch
           next_row += 32;
         }
         more = filled != 0;
-        if (more) {
-          const int from = __ffs(static_cast<int>(filled)) - 1;
-          base = __shfl_sync(kAllLanes, begin, from);
-          row_stop = __shfl_sync(kAllLanes, stop, from);
-          filled &= filled - 1u;
-        }
+        if (!more) return;
+        const int from = __ffs(static_cast<int>(filled)) - 1;
+        base = __shfl_sync(kAllLanes, begin, from);
+        row_stop = __shfl_sync(kAllLanes, stop, from);
+        filled &= filled - 1u;
       }
+    };
+    Record ahead{};
+    const auto load_ahead = [&] {
+      if (more && base + lane < row_stop) ahead = load_record(s, base + lane);
+    };
+    next_batch();
+    load_ahead();
+    int waiting = 0;
+    while (more || waiting > 0) {
       if (more) {
+        // The next batch is on its way while this one is filtered and compared.
+        const Record record = ahead;
         const int j = base + lane;
-        Entry other{};
-        if (j < row_stop) other = load_entry(s, grid.diagonal, j);
-        const bool keep = j < row_stop && overlap(all, other);
+        const bool there = j < row_stop;
+        next_batch();
+        load_ahead();
+        const Entry other = entry_of(record, grid.diagonal);
+        const bool keep = there && overlap(all, other);
         const unsigned kept = __ballot_sync(kAllLanes, keep);
         if (keep) {
           const int at = waiting + __popc(kept & ((1u << lane) - 1u));
@@ -544,14 +565,13 @@ __device__ __forceinline__ void visit_neighbours(const Grid& grid, const Scratch
         }
         __syncwarp();
         waiting += __popc(kept);
-        base += 32;
       }
       if (waiting >= 32 || (!more && waiting > 0)) {
         const int size = min(waiting, 32);
         waiting -= size;
         compare(q, waiting, size, packed, walks, i, mine.edge, narrow);
       }
-    } while (more);
+    }
   }
 }
 
@@ -565,11 +585,11 @@ __device__ __forceinline__ void visit_large(const Diagonal& diagonal, const Scra
     const int i = small + static_cast<int>(item / chunks);
     const int begin = static_cast<int>(item % chunks) * Policy::large_chunk;
     const int stop = min(begin + Policy::large_chunk, s.m);
-    const Entry mine = load_entry(s, diagonal, i);
+    const Entry mine = entry_of(load_record(s, i), diagonal);
     for (int base = begin; base < stop; base += 32) {
       const int j = base + lane;
       Entry other{};
-      if (j < stop) other = load_entry(s, diagonal, j);
+      if (j < stop) other = entry_of(load_record(s, j), diagonal);
       // Two large boxes meet once.
       const bool hit = j < stop && (j < small || j > i) && overlap(mine, other) &&
                        share_no_vertex(mine.a(), mine.b(), other.a(), other.b());
