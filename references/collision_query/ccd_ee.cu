@@ -1,25 +1,26 @@
 // ccd_ee in FP32: the time of the first impact of every edge with another one.
 //
-// 1. pack: both positions of a vertex in one 32-byte sector, written by two threads; the scene's box, and the
-//    mean extent of a sample of the edges' swept boxes. With them the grid is known before any pass over
-//    edges.
-// 2. count: one thread an edge; fetches the ends once, keeps the box in the order of the edges, finds its
-//    cell and its rank there.
+// 1. pack: both positions of a vertex in one 32-byte sector, written by two threads; the scene's box; and of
+//    a sample of the edges, the mean extents of what they sweep, along the axes and along six diagonals. With
+//    them the grid is known before any pass over edges, and the diagonal along which boxes are thinnest.
+// 2. count: one thread an edge; fetches the ends once, keeps the box (corner, extents and the interval along
+//    that diagonal: 20 bytes) in the order of the edges, finds its cell and its rank there.
 //    A scan turns the counts into the cells' starts.
-// 3. place: two threads an edge; its box with the two vertices goes to its place as one whole sector.
-// 4. impacts: a warp takes tiles of 32 places in a row. It walks the cells within reach of them, reads 32
-//    candidates at a time, one a lane, and keeps in shared memory those that overlap the box around the tile.
-//    32 of these are compared with the boxes of all lanes, without a vote or a branch; the hits of a lane are
-//    the bits of a mask. Pairs are met once, from the lower place. Those whose boxes overlap and that share
-//    no vertex go to a queue of the warp and are examined 32 at a time: a cubic whose Bernstein coefficients
-//    have one sign is dropped, the rest goes to a second queue, from which 32 at a time are bisected. Both
-//    outlive the tile. So the long instruction streams run with full warps although few candidates get that
-//    far.
+// 3. place: two threads an edge; box, vertices and number of the edge go to its place as one whole sector.
+// 4. impacts: resident warps take tiles of 32 places in a row, one edge a lane, until none is left. A warp
+//    walks the cells within reach of its tile and reads 32 candidates at a time, one a lane, the next ones
+//    while it works on these. Those that overlap the box around the tile go to shared memory, rounded to the
+//    scale of that box: four lower ends in one word, four upper ones in another. 32 of them are compared with
+//    the boxes of all lanes without a vote or a branch, at two subtractions and one test a box; the hits of a
+//    lane are the bits of a mask. Pairs are met once, from the lower place. Those that overlap and share no
+//    vertex go to a queue of the warp, from which 32 at a time are bisected. It outlives the tile, so the
+//    long instruction stream runs with full warps although few candidates get that far.
 //
 // What bounds it: instructions of `impacts`, and random sectors from L2 in `count` and `place`. Of the
-// paper's public input 9.1 M pairs of boxes overlap, 6.1 M of them of edges with a vertex in common; 3.0 M
-// are examined, 1.3 M have a cubic that may change its sign, 0.39 M events are found (counted on the host).
-// references/collision_query/NOTES.md has the predictions stage by stage and what was measured.
+// paper's public input 9.1 M pairs of boxes overlap, 6.1 M of them of edges with a vertex in common. The
+// diagonal leaves 0.6 M of the other 3.0 M, the coarse scale of the tile makes that 0.7 M; 0.39 M have an
+// event (counted on the host). references/collision_query/NOTES.md has the predictions stage by stage and
+// what was measured.
 #include <algorithm>
 #include <cstddef>
 #include <cstdint>
@@ -55,7 +56,7 @@ struct Policy {
   static constexpr int warps = 4;
   // Fine along x, where a warp reads a range of cells; along y and z smaller cells mean more, shorter ranges.
   static constexpr float cell_over_extent[3] = {0.35f, 1.4f, 2.5f};
-  static constexpr int sampled_edges = 65536;  // for the mean extent
+  static constexpr int sampled_edges = 65536;  // for the mean extents
   static constexpr float large_over_extent = 4.0f;
 #endif
   static constexpr int edge_blocks = 132 * 8;  // at most, each thread then takes several edges
