@@ -403,15 +403,20 @@ class Scale {
 
   // A guard bit of the difference stays set where no lower end is above the upper one.
   __device__ __forceinline__ static bool overlap(int4 p, int4 q) {
-    return (static_cast<unsigned>(p.y - q.x) & static_cast<unsigned>(q.y - p.x) & kGuards) == kGuards;
+    const auto difference = [](int high, int low) {
+      return static_cast<unsigned>(high) - static_cast<unsigned>(low);
+    };
+    return (difference(p.y, q.x) & difference(q.y, p.x) & kGuards) == kGuards;
   }
 
  private:
   struct Axis {
     float factor, offset;
 
-    __device__ __forceinline__ Axis(float low, float high)
-        : factor(__fdividef(1.0f, fmaxf(high - low, 1e-30f))), offset(-low * factor) {}
+    __device__ __forceinline__ Axis(float low, float high) {
+      factor = __fdividef(1.0f, fmaxf(high - low, 1e-30f));
+      offset = -low * factor;
+    }
     // 0 to 2^bits - 1, in the lower bits of a number above 2^23.
     __device__ __forceinline__ unsigned at(float x, int bits) const {
       const float top = static_cast<float>((1 << bits) - 1);
