@@ -59,8 +59,10 @@ struct Policy {
   static constexpr int sampled_edges = 65536;  // for the mean extents
   static constexpr float large_over_extent = 4.0f;
 #endif
-  static constexpr int edge_blocks = 132 * 8;  // at most, each thread then takes several edges
-  static constexpr int large_chunk = 1024;     // candidates of a large box that a warp takes at a time
+  static constexpr int edge_blocks_of_sm = 2048 / edge_threads;
+  static constexpr int edge_blocks =
+      132 * edge_blocks_of_sm;              // at most, each thread then takes several edges
+  static constexpr int large_chunk = 1024;  // candidates of a large box that a warp takes at a time
 #ifdef GPUPHYS_CCD_EE_RESIDENT_WARPS
   static constexpr int resident_warps = GPUPHYS_CCD_EE_RESIDENT_WARPS;
 #else
@@ -135,7 +137,8 @@ __device__ __forceinline__ collision::GridShape grid_shape() {
 }
 
 // Packs the vertices, two threads a vertex, whose box is the scene's; and samples the extents of edges.
-__global__ void __launch_bounds__(Policy::edge_threads) pack(Mesh mesh, Scratch s) {
+__global__ void __launch_bounds__(Policy::edge_threads, Policy::edge_blocks_of_sm)
+    pack(Mesh mesh, Scratch s) {
   constexpr int warps = Policy::edge_threads / 32;
   __shared__ unsigned codes[6];
   __shared__ float warp_extents[warps][collision::kExtents];
@@ -157,6 +160,11 @@ __global__ void __launch_bounds__(Policy::edge_threads) pack(Mesh mesh, Scratch 
     const EdgeMotion sample = motion_of(mesh, mesh.edges[e]);
     collision::add_extents(extents, sample.a0, sample.b0, sample.a1, sample.b1);
   }
+#pragma unroll
+  for (int k = 0; k < collision::kExtents; ++k) {
+    const float sum = collision::warp_sum(extents[k]);
+    if (threadIdx.x % 32 == 0) warp_extents[threadIdx.x / 32][k] = sum;
+  }
   for (std::int64_t t = thread; t < 2 * static_cast<std::int64_t>(mesh.n); t += stride) {
     const float* p0 = mesh.x0 + 3 * (t / 2);
     const float* p1 = mesh.x1 + 3 * (t / 2);
@@ -174,8 +182,6 @@ __global__ void __launch_bounds__(Policy::edge_threads) pack(Mesh mesh, Scratch 
     }
     s.vertices[t] = half;
   }
-#pragma unroll
-  for (int k = 0; k < collision::kExtents; ++k) extents[k] = collision::warp_sum(extents[k]);
   for (int d = 0; d < 3; ++d) {
     low[d] = collision::warp_max(low[d]);
     high[d] = collision::warp_max(high[d]);
@@ -185,8 +191,6 @@ __global__ void __launch_bounds__(Policy::edge_threads) pack(Mesh mesh, Scratch 
       atomicMax(&codes[d], low[d]);
       atomicMax(&codes[3 + d], high[d]);
     }
-#pragma unroll
-    for (int k = 0; k < collision::kExtents; ++k) warp_extents[threadIdx.x / 32][k] = extents[k];
   }
   __syncthreads();
   SceneSums& sums = s.head->sums;
@@ -201,7 +205,8 @@ __global__ void __launch_bounds__(Policy::edge_threads) pack(Mesh mesh, Scratch 
 }
 
 // Boxes in the order of the edges, each one's cell and its rank there.
-__global__ void __launch_bounds__(Policy::edge_threads) count(Mesh mesh, Scratch s, float* toi) {
+__global__ void __launch_bounds__(Policy::edge_threads, Policy::edge_blocks_of_sm)
+    count(Mesh mesh, Scratch s, float* toi) {
   __shared__ Grid grid;
   __shared__ unsigned codes[3];
   if (threadIdx.x < 3) codes[threadIdx.x] = 0;
