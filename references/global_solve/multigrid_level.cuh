@@ -43,6 +43,7 @@ struct MutableMatrix {
 struct Coarsening {
   bool rows_sum_to_zero;  ///< drops the excess of the diagonals altogether
   float coupling;  ///< times the sum of the fine couplings: one over the growth of the distance of centres
+  float thin;      ///< the same next to a last layer without a partner, whose centre stays where it is
   float held;  ///< times what holds a boundary cell at zero: the same for the distance to where it is zero
 };
 
@@ -50,7 +51,8 @@ struct Coarsening {
 /// half a (coarse) cell farther out each time.
 inline Coarsening coarsening_to(int l, bool rows_sum_to_zero, float first_coupling) {
   const auto distance = [](int level) { return 0.5f * static_cast<float>(1 << level) + 0.5f; };
-  return {rows_sum_to_zero, l == 1 ? first_coupling : 0.5f, distance(l - 1) / distance(l)};
+  const float coupling = l == 1 ? first_coupling : 0.5f, held = distance(l - 1) / distance(l);
+  return {rows_sum_to_zero, coupling, rows_sum_to_zero ? coupling : 2 * coupling * held, held};
 }
 
 /// What the diagonal holds beyond the couplings; rounding noise of either sign counts as nothing.
@@ -65,11 +67,18 @@ struct CoarseCell {
   Gates gates;
 };
 
-/// Coarse cell (i,j,k) from its children; `entry(array, i, j, k)` reads the fine matrix, and gives 0 outside
-/// the grid.
-template <class Entry>
+/// Entry (i,j,k) of one of the matrix's arrays, 0 outside the grid.
+__host__ __device__ __forceinline__ float entry_or_zero(const Matrix& m, const float* a, int i, int j,
+                                                        int k) {
+  return i >= 0 && j >= 0 && k >= 0 && i < m.nx && j < m.ny && k < m.nz ? a[m.at(i, j, k)] : 0.0f;
+}
+
+/// Coarse cell (i,j,k) from its children.
 __host__ __device__ __forceinline__ CoarseCell coarse_cell(const Matrix& fine, int i, int j, int k,
-                                                           const Coarsening& rule, Entry&& entry) {
+                                                           const Coarsening& rule) {
+  const auto entry = [&](const float* a, int fi, int fj, int fk) {
+    return entry_or_zero(fine, a, fi, fj, fk);
+  };
   const int i0 = 2 * i, j0 = 2 * j, k0 = 2 * k;
   // Faces of the 2x2x2 children along one axis: below, between and above the two layers of children.
   float face[3][3] = {};  // [axis][layer], summed over the four columns
@@ -91,20 +100,33 @@ __host__ __device__ __forceinline__ CoarseCell coarse_cell(const Matrix& fine, i
     for (int a = 0; a < 2; ++a)
       for (int b = 0; b < 2; ++b)
         for (int c = 0; c < 2; ++c) {
-          const float coupling[6] = {child_x[a][b][c],     child_x[a + 1][b][c], child_y[a][b][c],
-                                     child_y[a][b + 1][c], child_z[a][b][c],     child_z[a][b][c + 1]};
-          float couplings = 0;
-          bool inner = true;
-          for (int f = 0; f < 6; ++f) couplings += coupling[f], inner = inner && coupling[f] != 0;
-          excess +=
-              (inner ? 1.0f : rule.held) * excess_of(entry(fine.diag, i0 + a, j0 + b, k0 + c), couplings);
+          // Along each axis: the coupling to the partner within the coarse cell, and to the outside of it.
+          const float inner[3] = {child_x[1][b][c], child_y[a][1][c], child_z[a][b][1]};
+          const float outer[3] = {child_x[2 * a][b][c], child_y[a][2 * b][c], child_z[a][b][2 * c]};
+          const bool partner[3] = {i0 + 1 < fine.nx, j0 + 1 < fine.ny, k0 + 1 < fine.nz};
+          const float couplings = child_x[a][b][c] + child_x[a + 1][b][c] + child_y[a][b][c] +
+                                  child_y[a][b + 1][c] + child_z[a][b][c] + child_z[a][b][c + 1];
+          float missing = 0, weight = 0;
+          for (int d = 0; d < 3; ++d) {
+            if (outer[d] == 0) missing += 1, weight += rule.held;
+            // Where there is no partner the centre stays; where it is inactive, it moves half as far.
+            if (inner[d] == 0) missing += 1, weight += partner[d] ? 0.5f * (1 + rule.held) : 1.0f;
+          }
+          excess += (missing > 0 ? weight / missing : 1.0f) *
+                    excess_of(entry(fine.diag, i0 + a, j0 + b, k0 + c), couplings);
         }
   }
   float couplings = 0;
   CoarseCell coarse{};
   for (int axis = 0; axis < 3; ++axis) {
-    face[axis][0] *= rule.coupling;
-    face[axis][2] *= rule.coupling;
+    const int first = axis == 0   ? i0
+                      : axis == 1 ? j0
+                                  : k0,
+              n = axis == 0   ? fine.nx
+                  : axis == 1 ? fine.ny
+                              : fine.nz;
+    face[axis][0] *= first + 1 < n ? rule.coupling : rule.thin;
+    face[axis][2] *= first + 3 < n ? rule.coupling : rule.thin;
     couplings += face[axis][0] + face[axis][2];
     if (face[axis][2] != 0) coarse.gates |= static_cast<Gates>(1u << (2 * axis));
     if (face[axis][0] != 0) coarse.gates |= static_cast<Gates>(2u << (2 * axis));
@@ -120,11 +142,7 @@ __global__ void coarsen(Matrix fine, Matrix shape, MutableMatrix coarse, Coarsen
   const int at = static_cast<int>(blockIdx.x * blockDim.x + threadIdx.x);
   if (at >= shape.size()) return;
   const int k = at % shape.pitch, j = (at / shape.pitch) % shape.ny, i = at / shape.plane();
-  const CoarseCell c = coarse_cell(fine, i, j, k, rule, [&](const float* a, int fi, int fj, int fk) {
-    return fi >= 0 && fj >= 0 && fk >= 0 && fi < fine.nx && fj < fine.ny && fk < fine.nz
-               ? __ldg(a + fine.at(fi, fj, fk))
-               : 0.0f;
-  });
+  const CoarseCell c = coarse_cell(fine, i, j, k, rule);
   coarse.diag[at] = c.diag;
   coarse.ax[at] = c.ax;
   coarse.ay[at] = c.ay;
