@@ -89,7 +89,7 @@ TYPED_TEST(PoissonDirichletBaseline, SolutionScalesWithTheRightHandSide) {
 
 // The inverse of such a matrix has no negative entry: sources nowhere negative, a solution nowhere negative.
 TYPED_TEST(PoissonDirichletBaseline, KeepsTheSignOfItsSources) {
-  for (const char* name : {"public_smoke", "hard_odd_33x17x5", "hard_channel_512x4x4"}) {
+  for (const char* name : {"hard_odd_33x17x5", "hard_channel_512x4x4", "hard_maze"}) {
     Problem p = make_task().set(name).make();
     const Inputs in = bind_inputs<Inputs>(p);
     std::vector<float> b(static_cast<std::size_t>(in.b.size()), 0.0f);
@@ -124,8 +124,9 @@ TEST(PoissonDirichletBaselineF64, ConvergesAtSecondOrderToASineSolution) {
 TEST(PoissonDirichletBaselineF64, RecoversTheManufacturedSolutionOfThePublicSmokeSet) {
   const Problem p = make_task().set("public_smoke").make();
   const std::vector<double> exact = poisson::ramp_and_noise(p, 1, 1, 0.5);
-  EXPECT_LT(shared::energy_error(p, solved<double>(p), exact), 1e-6);
-  EXPECT_LT(shared::relative_difference(solved<double>(p), exact), 1e-5);
+  const std::vector<double> x = solved<double>(p);
+  EXPECT_LT(shared::energy_error(p, x, exact), 1e-6);
+  EXPECT_LT(shared::relative_difference(x, exact), 1e-5);
 }
 
 TEST(PoissonDirichletOperator, IsSymmetric) {
