@@ -107,12 +107,18 @@ Problem maze() {
   });
 }
 
-// One unknown, six faces of conductance 1/2 around it.
+// One unknown, six faces of conductance 1/2 around it: x = 3/4.
 Problem one_cell() {
-  const auto alone = [](std::int64_t i, std::int64_t j, std::int64_t k) {
-    return i == 2 && j == 3 && k == 1;
-  };
-  return with_rough_solution({5, 4, 3}, 26, alone, [](auto...) { return 0.5; });
+  const Extents n{5, 4, 3};
+  const std::uint64_t alone = poisson::flat(n, 2, 3, 1);
+  Problem p = poisson::system_without_source(
+      n, Boundary::dirichlet,
+      [=](std::int64_t i, std::int64_t j, std::int64_t k) { return poisson::flat(n, i, j, k) == alone; },
+      [](auto...) { return 0.5; });
+  std::vector<double> x(60, 0.0);
+  x[alone] = 0.75;
+  poisson::set_right_hand_side(p, x);
+  return p;
 }
 
 std::vector<InputSet> hard_sets() {

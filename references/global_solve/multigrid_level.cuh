@@ -32,6 +32,8 @@ struct Matrix {
 /// for the previous one. Bit `kHeld`: what lies beyond its other faces is held at zero rather than closed.
 using Gates = std::uint8_t;
 constexpr Gates kHeld = 64;
+/// Share of the diagonal from which on a cell counts as held: less is next to closed.
+constexpr float kHeldShare = 0.02f;
 
 struct MutableMatrix {
   float *diag, *ax, *ay, *az;
@@ -55,10 +57,17 @@ inline Coarsening coarsening_to(int l, bool rows_sum_to_zero, float first_coupli
   return {rows_sum_to_zero, coupling, rows_sum_to_zero ? coupling : 2 * coupling * held, held};
 }
 
-/// What the diagonal holds beyond the couplings; rounding noise of either sign counts as nothing.
-__host__ __device__ __forceinline__ float excess_of(float diag, float couplings) {
-  const float excess = diag + couplings;  // couplings are <= 0
-  return excess > 2e-6f * diag ? excess : 0.0f;
+/// What the diagonal holds beyond its couplings (<= 0), summed without rounding errors; what the rounding of
+/// the diagonal itself may be counts as nothing.
+__host__ __device__ __forceinline__ float excess_of(float diag, const float (&inner)[3],
+                                                    const float (&outer)[3]) {
+  float sum = diag, lost = 0;
+  for (int d = 0; d < 6; ++d) {
+    const float term = d < 3 ? inner[d] : outer[d - 3], next = sum + term, gained = next - sum;
+    lost += (sum - (next - gained)) + (term - gained);
+    sum = next;
+  }
+  return sum + lost > 1.2e-7f * diag ? sum + lost : 0.0f;
 }
 
 /// Row of a coarse matrix.
@@ -104,8 +113,6 @@ __host__ __device__ __forceinline__ CoarseCell coarse_cell(const Matrix& fine, i
           const float inner[3] = {child_x[1][b][c], child_y[a][1][c], child_z[a][b][1]};
           const float outer[3] = {child_x[2 * a][b][c], child_y[a][2 * b][c], child_z[a][b][2 * c]};
           const bool partner[3] = {i0 + 1 < fine.nx, j0 + 1 < fine.ny, k0 + 1 < fine.nz};
-          const float couplings = child_x[a][b][c] + child_x[a + 1][b][c] + child_y[a][b][c] +
-                                  child_y[a][b + 1][c] + child_z[a][b][c] + child_z[a][b][c + 1];
           float missing = 0, weight = 0;
           for (int d = 0; d < 3; ++d) {
             if (outer[d] == 0) missing += 1, weight += rule.held;
@@ -113,7 +120,7 @@ __host__ __device__ __forceinline__ CoarseCell coarse_cell(const Matrix& fine, i
             if (inner[d] == 0) missing += 1, weight += partner[d] ? 0.5f * (1 + rule.held) : 1.0f;
           }
           excess += (missing > 0 ? weight / missing : 1.0f) *
-                    excess_of(entry(fine.diag, i0 + a, j0 + b, k0 + c), couplings);
+                    excess_of(entry(fine.diag, i0 + a, j0 + b, k0 + c), inner, outer);
         }
   }
   float couplings = 0;
@@ -131,8 +138,8 @@ __host__ __device__ __forceinline__ CoarseCell coarse_cell(const Matrix& fine, i
     if (face[axis][2] != 0) coarse.gates |= static_cast<Gates>(1u << (2 * axis));
     if (face[axis][0] != 0) coarse.gates |= static_cast<Gates>(2u << (2 * axis));
   }
-  if (excess > 0) coarse.gates |= kHeld;
   coarse.diag = excess - couplings;
+  if (excess > kHeldShare * coarse.diag) coarse.gates |= kHeld;
   coarse.ax = face[0][2], coarse.ay = face[1][2], coarse.az = face[2][2];
   return coarse;
 }
