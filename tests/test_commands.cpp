@@ -8,8 +8,10 @@
 #include <filesystem>
 #include <memory>
 
+#include "core/driver/inventory.hpp"
 #include "core/files.hpp"
 #include "core/hdf5_io.hpp"
+#include "core/judge.hpp"
 #include "core/results.hpp"
 #include "core/source_digest.hpp"
 #include "core/task.hpp"
@@ -82,6 +84,7 @@ class Commands : public testing::Test {
       run("reference", "reference", set);
       run("fmad", "fmad", set);
       if (hard) continue;
+      if (offers_other_blocks(task, source)) run(kOtherBlocks, "reference", set);
       for (const auto& entry : fs::directory_iterator(source + "/mutants/" + task.name)) {
         run("mutant." + entry.path().stem().string(), "mutant", set);
       }
