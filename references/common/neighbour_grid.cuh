@@ -26,9 +26,10 @@
 //   __device__ Record record(int i) const;         of item i
 //   __device__ float3 position(const Record&) const;   the same as of its item, bit by bit
 //   __device__ void placed(const Grid&, int slot, const Record&) const;   told what comes to each slot
-//   Record *split, *records;                       device memory for `count` of them each, aligned to
-//                                                  32 bytes; the second receives the result, the first is
-//                                                  scratch
+//   Record* split;                                 scratch in device memory for `count` of them, aligned to
+//                                                  32 bytes
+//   float4* sorted;                                receives the result, word by word: that of number w of
+//                                                  the record in slot s is sorted[w * count + s]
 //
 // What bounds it: memory. Records are written twice and read once, and split_items writes them in runs of a
 // few, by sectors: neighbouring lanes write the words of one record in one instruction. A record of 32 or 64
@@ -162,6 +163,18 @@ struct Storage {
 template <class Policy>
 __device__ __forceinline__ int bins_of(const Grid& grid) {
   return (grid.total + Policy::bin_cells - 1) / Policy::bin_cells;
+}
+
+// Copies 16 bytes to shared memory without a register between: a loop of these has all of them under way.
+__device__ __forceinline__ void copy_async(float4* to, const float4* from) {
+  asm volatile(
+      "cp.async.cg.shared.global [%0], [%1], 16;" ::"r"(static_cast<unsigned>(__cvta_generic_to_shared(to))),
+      "l"(from)
+      : "memory");
+}
+// For the thread's own copies.
+__device__ __forceinline__ void wait_for_copies() {
+  asm volatile("cp.async.wait_all;" ::: "memory");
 }
 
 /// Sum of the threads before this one. Called by all threads of the block, once.
@@ -365,14 +378,19 @@ __global__ void __launch_bounds__(Policy::split_threads, Policy::split_blocks_pe
   }
 }
 
+/// Words of a bin's records in shared memory: a row for each number of word, rows in different banks.
+template <class Policy>
+constexpr int bin_row = Policy::bin_items / 8 * 8 + 12;
+
 template <class Policy, class Source>
 __global__ void __launch_bounds__(Policy::bin_threads, Policy::bin_blocks_per_sm)
     sort_bins(const __grid_constant__ Source source, const __grid_constant__ Storage s) {
   using Record = typename Source::Record;
   constexpr int threads = Policy::bin_threads, words = static_cast<int>(sizeof(Record) / sizeof(float4));
-  constexpr int bin_cells = Policy::bin_cells;
+  constexpr int bin_cells = Policy::bin_cells, row = bin_row<Policy>;
+  constexpr int share = (Policy::bin_items + threads - 1) / threads;  // most records of a thread
   static_assert(bin_cells % 4 == 0 && threads >= bin_cells / 4 && threads % 32 == 0);
-  static_assert(Policy::bin_items <= 65536);
+  static_assert(Policy::bin_items <= 65536 && bin_cells <= 65536);
   const Grid& grid = *s.grid;
   const int thread = static_cast<int>(threadIdx.x), bin = static_cast<int>(blockIdx.x);
   const int first_cell = bin * bin_cells;
@@ -385,20 +403,42 @@ __global__ void __launch_bounds__(Policy::bin_threads, Policy::bin_blocks_per_sm
   const int begin = s.bin_start[bin], count = s.bin_start[bin + 1] - begin;
   const bool fits = count <= Policy::bin_items;
   const Record* const incoming = source.split + begin;
-  const Record* const staged = reinterpret_cast<const Record*>(dynamic_shared);
+  const auto staged = [&](int k) {
+    Record record;
+#pragma unroll
+    for (int w = 0; w < words; ++w) reinterpret_cast<float4*>(&record)[w] = dynamic_shared[w * row + k];
+    return record;
+  };
   const auto cell_in_bin = [&](const Record& record) {
     return cell_of(grid, source.position(record)) - first_cell;
   };
+  const auto place = [&](int slot, const Record& record) {
+#pragma unroll
+    for (int w = 0; w < words; ++w)
+      source.sorted[static_cast<std::size_t>(w) * static_cast<std::size_t>(source.count) +
+                    static_cast<std::size_t>(slot)] = reinterpret_cast<const float4*>(&record)[w];
+    source.placed(grid, slot, record);
+  };
 
-  if (thread < bin_cells / 4) cell_counts[thread] = make_int4(0, 0, 0, 0);
   if (fits) {
     const float4* const from = reinterpret_cast<const float4*>(incoming);
-#pragma unroll 4
-    for (int w = thread; w < count * words; w += threads) dynamic_shared[w] = __ldcs(from + w);
+    for (int w = thread; w < count * words; w += threads)
+      copy_async(dynamic_shared + w % words * row + w / words, from + w);
   }
+  if (thread < bin_cells / 4) cell_counts[thread] = make_int4(0, 0, 0, 0);
+  wait_for_copies();
   __syncthreads();
+  unsigned found[share];  // cell and rank in it of the thread's records
   if (fits) {
-    for (int k = thread; k < count; k += threads) atomicAdd(cells + cell_in_bin(staged[k]), 1);
+#pragma unroll
+    for (int j = 0; j < share; ++j) {
+      const int k = thread + j * threads;
+      found[j] = 0;
+      if (k < count) {
+        const int cell = cell_in_bin(staged(k));
+        found[j] = static_cast<unsigned>(cell) << 16 | static_cast<unsigned>(atomicAdd(cells + cell, 1));
+      }
+    }
   } else {
     for (int k = thread; k < count; k += threads) atomicAdd(cells + cell_in_bin(incoming[k]), 1);
   }
@@ -420,19 +460,18 @@ __global__ void __launch_bounds__(Policy::bin_threads, Policy::bin_blocks_per_sm
   if (!fits) {
     for (int k = thread; k < count; k += threads) {
       const Record record = incoming[k];
-      const int slot = begin + atomicAdd(cells + cell_in_bin(record), 1);
-      source.records[slot] = record;
-      source.placed(grid, slot, record);
+      place(begin + atomicAdd(cells + cell_in_bin(record), 1), record);
     }
     return;
   }
-  for (int k = thread; k < count; k += threads)
-    order[atomicAdd(cells + cell_in_bin(staged[k]), 1)] = static_cast<unsigned short>(k);
+#pragma unroll
+  for (int j = 0; j < share; ++j) {
+    const int k = thread + j * threads;
+    if (k < count)
+      order[cells[found[j] >> 16] + static_cast<int>(found[j] & 0xffffu)] = static_cast<unsigned short>(k);
+  }
   __syncthreads();
-  float4* const to = reinterpret_cast<float4*>(source.records + begin);
-  for (int w = thread; w < count * words; w += threads)
-    to[w] = dynamic_shared[order[w / words] * words + w % words];
-  for (int k = thread; k < count; k += threads) source.placed(grid, begin + k, staged[order[k]]);
+  for (int k = thread; k < count; k += threads) place(begin + k, staged(order[k]));
 }
 
 }  // namespace detail
@@ -495,7 +534,7 @@ class NeighbourGrid {
   }
   template <class Source>
   static std::size_t bin_bytes() {
-    return sizeof(typename Source::Record) * Policy::bin_items;
+    return sizeof(typename Source::Record) * detail::bin_row<Policy>;
   }
 
   detail::Storage s_{};

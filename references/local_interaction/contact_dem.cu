@@ -55,21 +55,6 @@ struct Policy {
   static constexpr int queue = 3;
   static constexpr int blocks_per_sm = 16;
 };
-#elif defined(GPUPHYS_TRY)
-struct GridPolicy : neighbour_grid::DefaultPolicy {
-  static constexpr int bin_cells = 1536;
-  static constexpr int bin_items = 2432;
-  static constexpr int bin_threads = 768;
-  static constexpr int bin_blocks_per_sm = 2;
-};
-struct Policy {
-  static constexpr int threads = 512;
-  static constexpr int at_once = 6;
-  static constexpr int more = 3;
-  static constexpr int run = 30;
-  static constexpr int queue = 8;
-  static constexpr int blocks_per_sm = 3;
-};
 #else
 using GridPolicy = neighbour_grid::DefaultPolicy;
 struct Policy {
@@ -151,7 +136,7 @@ struct Grains {
   const float* __restrict__ v;
   const float* __restrict__ r;
   Grain* __restrict__ split;
-  Grain* __restrict__ records;
+  float4* __restrict__ sorted;
   unsigned* __restrict__ codes;
   int count;
 
@@ -257,9 +242,9 @@ __device__ __forceinline__ int2 load_shared(unsigned address) {
 }
 
 __global__ void __launch_bounds__(Policy::threads, Policy::blocks_per_sm)
-    sum_contacts(const Grain* __restrict__ records, const unsigned* __restrict__ codes,
-                 const neighbour_grid::Grid* __restrict__ grid_in, const int* __restrict__ start,
-                 float* __restrict__ result, Law law, int count) {
+    sum_contacts(const float4* __restrict__ spheres, const float4* __restrict__ motions,
+                 const unsigned* __restrict__ codes, const neighbour_grid::Grid* __restrict__ grid_in,
+                 const int* __restrict__ start, float* __restrict__ result, Law law, int count) {
   __shared__ int2 queue[Policy::queue * Policy::threads];
   __shared__ float staged[3 * Policy::threads];
   const int thread = static_cast<int>(threadIdx.x);
@@ -268,7 +253,7 @@ __global__ void __launch_bounds__(Policy::threads, Policy::blocks_per_sm)
   int index = -1;
   if (slot < count) {
     const neighbour_grid::Grid& grid = *grid_in;
-    const float4 sphere = records[slot].sphere;
+    const float4 sphere = spheres[slot];
     const unsigned probe = probe_of(grid, sphere);
     const int bound = code_bound(grid, sphere.w);
     // Candidates of a column with hits: the slot behind the last one, and a bit a hit. Entries thread, thread
@@ -278,7 +263,8 @@ __global__ void __launch_bounds__(Policy::threads, Policy::blocks_per_sm)
     unsigned top = 0;
     const auto evaluate = [&]([[maybe_unused]] auto two_at_once) {
       // Loaded again, as the search has no registers to spare.
-      const Grain grain = records[opaque(slot)];
+      const int own = opaque(slot);
+      const Grain grain{spheres[own], motions[own]};
       index = __float_as_int(grain.motion.w);
       unsigned entry = 0;
       int2 run{0, 0};
@@ -299,11 +285,11 @@ __global__ void __launch_bounds__(Policy::threads, Policy::blocks_per_sm)
         if constexpr (decltype(two_at_once)::value) {
           // Half as many waits for records. A grain feels nothing from itself.
           const int b = more() ? take() : slot;
-          const Grain first = records[a], second = records[b];
+          const Grain first{spheres[a], motions[a]}, second{spheres[b], motions[b]};
           add_contact(force, grain.sphere, grain.motion, first.sphere, first.motion, law);
           add_contact(force, grain.sphere, grain.motion, second.sphere, second.motion, law);
         } else {
-          const Grain other = records[a];
+          const Grain other{spheres[a], motions[a]};
           add_contact(force, grain.sphere, grain.motion, other.sphere, other.motion, law);
         }
       }
@@ -373,7 +359,7 @@ class Reference {
     if (n > (1 << 30)) throw std::runtime_error("contact_dem: more than 2^30 grains");
     grid_.allocate<Grains>(n);
     split_ = DeviceBuffer<Grain>(static_cast<std::size_t>(n));
-    records_ = DeviceBuffer<Grain>(static_cast<std::size_t>(n));
+    sorted_ = DeviceBuffer<float4>(2 * static_cast<std::size_t>(n));
     codes_ = DeviceBuffer<unsigned>(static_cast<std::size_t>(n) + padding);
   }
 
@@ -381,14 +367,16 @@ class Reference {
     const int n = static_cast<int>(in.radius.shape[0]);
     if (n == 0) return;
     const auto blocks = [n](int threads) { return static_cast<unsigned>((n + threads - 1) / threads); };
-    grid_.build(Grains{in.x.data, in.v.data, in.radius.data, split_.get(), records_.get(), codes_.get(), n});
-    sum_contacts<<<blocks(Policy::threads), Policy::threads>>>(
-        records_.get(), codes_.get(), grid_.grid(), grid_.start(), out.force.data, Law{in.kn, in.cn}, n);
+    grid_.build(Grains{in.x.data, in.v.data, in.radius.data, split_.get(), sorted_.get(), codes_.get(), n});
+    sum_contacts<<<blocks(Policy::threads), Policy::threads>>>(sorted_.get(), sorted_.get() + n, codes_.get(),
+                                                               grid_.grid(), grid_.start(), out.force.data,
+                                                               Law{in.kn, in.cn}, n);
   }
 
  private:
   neighbour_grid::NeighbourGrid<GridPolicy> grid_;
-  DeviceBuffer<Grain> split_, records_;
+  DeviceBuffer<Grain> split_;
+  DeviceBuffer<float4> sorted_;
   DeviceBuffer<unsigned> codes_;
 };
 
