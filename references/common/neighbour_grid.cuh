@@ -44,6 +44,7 @@
 #include <cstdint>
 
 #include "core/module.hpp"
+#include "references/common/dependent_launch.cuh"
 #include "references/common/device_buffer.cuh"
 
 namespace gpuphys::neighbour_grid {
@@ -99,8 +100,8 @@ struct Ranges {
 /// others), each once; no range is longer than Longest. Calls prepare() before it fetches each. `p` need not
 /// be an item.
 template <int Longest, class Prepare, class Visit>
-__device__ __forceinline__ void visit_ranges(const Grid& grid, const int* __restrict__ start, float3 p,
-                                             float cutoff, Prepare&& prepare, Visit&& visit) {
+__device__ __forceinline__ void visit_ranges(const Grid& grid, const int* start, float3 p, float cutoff,
+                                             Prepare&& prepare, Visit&& visit) {
   const int x0 = cell_along(grid, 0, p.x - cutoff), x1 = cell_along(grid, 0, p.x + cutoff);
   const int y0 = cell_along(grid, 1, p.y - cutoff), y1 = cell_along(grid, 1, p.y + cutoff);
   const int z0 = cell_along(grid, 2, p.z - cutoff), z1 = cell_along(grid, 2, p.z + cutoff);
@@ -270,16 +271,26 @@ __global__ void __launch_bounds__(Policy::bounds_threads)
     find_bounds(const __grid_constant__ Source source, const __grid_constant__ Storage s) {
   __shared__ Bounds warps[Policy::bounds_threads / 32];
   __shared__ bool last_block;
+  allow_next();
   const int first = static_cast<int>(blockIdx.x * blockDim.x + threadIdx.x);
   const int stride = static_cast<int>(gridDim.x * blockDim.x);
   for (int c = first; c < s.bins; c += stride) s.bin_count[c] = 0;
 
   Bounds b = empty_bounds();
-#pragma unroll 4  // loads of four items in flight
-  for (int i = first; i < source.count; i += stride) {
-    const float3 p = source.position(i);
-    const float radius = source.radius(i);
-    include(b, {{p.x, p.y, p.z}, {p.x, p.y, p.z}, radius, radius});
+  // Loads of four items in flight, also at the end, where the last item is met again.
+  const std::int64_t last = source.count - 1;
+  for (std::int64_t i = first; i <= last; i += 4 * static_cast<std::int64_t>(stride)) {
+    float3 p[4];
+    float radius[4];
+#pragma unroll
+    for (int k = 0; k < 4; ++k) {
+      const int item = static_cast<int>(min(i + k * static_cast<std::int64_t>(stride), last));
+      p[k] = source.position(item);
+      radius[k] = source.radius(item);
+    }
+#pragma unroll
+    for (int k = 0; k < 4; ++k)
+      include(b, {{p[k].x, p[k].y, p[k].z}, {p[k].x, p[k].y, p[k].z}, radius[k], radius[k]});
   }
   b = block_bounds<Policy::bounds_threads>(b, warps);
   if (threadIdx.x == 0) {
@@ -313,15 +324,23 @@ template <class Policy, class Source>
 __global__ void __launch_bounds__(Policy::split_threads)
     count_items(const __grid_constant__ Source source, const __grid_constant__ Storage s) {
   __shared__ int counts[Policy::most_bins];
+  allow_next();
+  wait_for_previous();
   const int thread = static_cast<int>(threadIdx.x), block = static_cast<int>(blockIdx.x);
   const Grid& grid = *s.grid;
   const int bins = bins_of<Policy>(grid);
   for (int b = thread; b < bins; b += Policy::split_threads) counts[b] = 0;
   __syncthreads();
   const int begin = block * s.part, end = min(begin + s.part, source.count);
-#pragma unroll 4  // loads of four items in flight
-  for (int i = begin + thread; i < end; i += Policy::split_threads)
-    atomicAdd(counts + cell_of(grid, source.position(i)) / Policy::bin_cells, 1);
+  for (int i = begin + thread; i < end; i += 4 * Policy::split_threads) {
+    float3 p[4];  // loads of four items in flight
+#pragma unroll
+    for (int k = 0; k < 4; ++k) p[k] = source.position(min(i + k * Policy::split_threads, end - 1));
+#pragma unroll
+    for (int k = 0; k < 4; ++k) {
+      if (i + k * Policy::split_threads < end) atomicAdd(counts + cell_of(grid, p[k]) / Policy::bin_cells, 1);
+    }
+  }
   __syncthreads();
   int* const reserved = s.reserved + static_cast<std::size_t>(block) * s.bins;
   for (int b = thread; b < bins; b += Policy::split_threads)
@@ -339,6 +358,11 @@ __global__ void __launch_bounds__(Policy::split_threads, Policy::split_blocks_pe
   int* const next = reinterpret_cast<int*>(staged + threads);  // slot of each bin
   __shared__ int warps[threads / 32];
   const int thread = static_cast<int>(threadIdx.x), lane = thread % 32, block = static_cast<int>(blockIdx.x);
+  allow_next();
+  const int begin = block * s.part, end = min(begin + s.part, source.count);
+  // The next record is under way while one is written; the first also while others are counted.
+  Record ahead = source.record(min(begin + thread, end - 1));
+  wait_for_previous();
   const Grid& grid = *s.grid;
   const int bins = bins_of<Policy>(grid);
   {
@@ -357,13 +381,13 @@ __global__ void __launch_bounds__(Policy::split_threads, Policy::split_blocks_pe
     if (block == 0 && thread == 0) s.bin_start[bins] = source.count;
   }
   __syncthreads();
-  const int begin = block * s.part, end = min(begin + s.part, source.count);
   const float4* const from = reinterpret_cast<const float4*>(staged + (thread - lane));
   for (int first = begin; first < end; first += threads) {
     const int i = first + thread;
     int slot = -1;
+    const Record record = ahead;
+    if (first + threads < end) ahead = source.record(min(i + threads, end - 1));
     if (i < end) {
-      const Record record = source.record(i);
       staged[thread] = record;
       slot = atomicAdd(next + cell_of(grid, source.position(record)) / Policy::bin_cells, 1);
     }
@@ -391,6 +415,8 @@ __global__ void __launch_bounds__(Policy::bin_threads, Policy::bin_blocks_per_sm
   constexpr int share = (Policy::bin_items + threads - 1) / threads;  // most records of a thread
   static_assert(bin_cells % 4 == 0 && threads >= bin_cells / 4 && threads % 32 == 0);
   static_assert(Policy::bin_items <= 65536 && bin_cells <= 65536);
+  allow_next();
+  wait_for_previous();
   const Grid& grid = *s.grid;
   const int thread = static_cast<int>(threadIdx.x), bin = static_cast<int>(blockIdx.x);
   const int first_cell = bin * bin_cells;
@@ -517,12 +543,14 @@ class NeighbourGrid {
   void build(const Source& source) {
     const unsigned parts = static_cast<unsigned>((source.count + s_.part - 1) / s_.part);
     detail::find_bounds<Policy><<<bounds_blocks_, Policy::bounds_threads>>>(source, s_);
-    detail::count_items<Policy><<<parts, Policy::split_threads>>>(source, s_);
-    detail::split_items<Policy><<<parts, Policy::split_threads, split_bytes<Source>()>>>(source, s_);
-    detail::sort_bins<Policy>
-        <<<static_cast<unsigned>(s_.bins), Policy::bin_threads, bin_bytes<Source>()>>>(source, s_);
+    launch_dependent(detail::count_items<Policy, Source>, parts, Policy::split_threads, 0, source, s_);
+    launch_dependent(detail::split_items<Policy, Source>, parts, Policy::split_threads, split_bytes<Source>(),
+                     source, s_);
+    launch_dependent(detail::sort_bins<Policy, Source>, static_cast<unsigned>(s_.bins), Policy::bin_threads,
+                     bin_bytes<Source>(), source, s_);
   }
 
+  // For kernels launched after build(): by launch_dependent(), or as usual.
   const Grid* grid() const { return s_.grid; }
   const int* start() const { return s_.start; }  ///< first slot of each cell, and the number of items
 

@@ -29,6 +29,7 @@
 
 #include "cases/local_interaction/contact_dem.hpp"
 #include "core/module.hpp"
+#include "references/common/dependent_launch.cuh"
 #include "references/common/neighbour_grid.cuh"
 
 namespace gpuphys::contact_dem {
@@ -242,15 +243,16 @@ __device__ __forceinline__ int2 load_shared(unsigned address) {
 }
 
 __global__ void __launch_bounds__(Policy::threads, Policy::blocks_per_sm)
-    sum_contacts(const float4* __restrict__ spheres, const float4* __restrict__ motions,
-                 const unsigned* __restrict__ codes, const neighbour_grid::Grid* __restrict__ grid_in,
-                 const int* __restrict__ start, float* __restrict__ result, Law law, int count) {
+    sum_contacts(const float4* spheres, const float4* motions, const unsigned* codes,
+                 const neighbour_grid::Grid* grid_in, const int* start, float* result, Law law, int count) {
   __shared__ int2 queue[Policy::queue * Policy::threads];
   __shared__ float staged[3 * Policy::threads];
   const int thread = static_cast<int>(threadIdx.x);
-  const int slot = static_cast<int>(blockIdx.x) * Policy::threads + thread;
+  // From the last slot to the first: what was sorted last is still in L2.
+  const int slot = static_cast<int>(gridDim.x - 1 - blockIdx.x) * Policy::threads + thread;
   float3 force{0.0f, 0.0f, 0.0f};
   int index = -1;
+  wait_for_previous();
   if (slot < count) {
     const neighbour_grid::Grid& grid = *grid_in;
     const float4 sphere = spheres[slot];
@@ -309,13 +311,13 @@ __global__ void __launch_bounds__(Policy::threads, Policy::blocks_per_sm)
 #pragma unroll
       for (int c = 0; c < columns; ++c) {
         hits[c] = 0;
-        const unsigned* __restrict__ const from = codes + ranges.begin[c];
+        const unsigned* const from = codes + ranges.begin[c];
 #pragma unroll
         for (int k = 0; k < Policy::at_once; ++k) hits[c] = test(hits[c], from[k]);
       }
 #pragma unroll
       for (int c = 0; c < columns; ++c) {
-        const unsigned* __restrict__ const from = codes + ranges.begin[c];
+        const unsigned* const from = codes + ranges.begin[c];
         const int length = ranges.end[c] - ranges.begin[c];
         int tested = Policy::at_once;
 #pragma unroll 1
@@ -368,9 +370,9 @@ class Reference {
     if (n == 0) return;
     const auto blocks = [n](int threads) { return static_cast<unsigned>((n + threads - 1) / threads); };
     grid_.build(Grains{in.x.data, in.v.data, in.radius.data, split_.get(), sorted_.get(), codes_.get(), n});
-    sum_contacts<<<blocks(Policy::threads), Policy::threads>>>(sorted_.get(), sorted_.get() + n, codes_.get(),
-                                                               grid_.grid(), grid_.start(), out.force.data,
-                                                               Law{in.kn, in.cn}, n);
+    launch_dependent(sum_contacts, blocks(Policy::threads), Policy::threads, 0, sorted_.get(),
+                     sorted_.get() + n, codes_.get(), grid_.grid(), grid_.start(), out.force.data,
+                     Law{in.kn, in.cn}, n);
   }
 
  private:
