@@ -327,7 +327,7 @@ __global__ void __launch_bounds__(Policy::split_threads)
   allow_next();
   wait_for_previous();
   const int thread = static_cast<int>(threadIdx.x), block = static_cast<int>(blockIdx.x);
-  const Grid& grid = *s.grid;
+  const Grid grid = *s.grid;
   const int bins = bins_of<Policy>(grid);
   for (int b = thread; b < bins; b += Policy::split_threads) counts[b] = 0;
   __syncthreads();
@@ -363,7 +363,9 @@ __global__ void __launch_bounds__(Policy::split_threads, Policy::split_blocks_pe
   // The next record is under way while one is written; the first also while others are counted.
   Record ahead = source.record(min(begin + thread, end - 1));
   wait_for_previous();
-  const Grid& grid = *s.grid;
+  __shared__ Grid grid;  // registers are short, and global memory is behind the record in the queue
+  if (thread == 0) grid = *s.grid;
+  __syncthreads();
   const int bins = bins_of<Policy>(grid);
   {
     // Every block sums up the bins for itself: cheaper than a launch.
@@ -382,11 +384,12 @@ __global__ void __launch_bounds__(Policy::split_threads, Policy::split_blocks_pe
   }
   __syncthreads();
   const float4* const from = reinterpret_cast<const float4*>(staged + (thread - lane));
+#pragma unroll 2  // no moves of what is on its way
   for (int first = begin; first < end; first += threads) {
     const int i = first + thread;
     int slot = -1;
     const Record record = ahead;
-    if (first + threads < end) ahead = source.record(min(i + threads, end - 1));
+    ahead = source.record(min(i + threads, end - 1));
     if (i < end) {
       staged[thread] = record;
       slot = atomicAdd(next + cell_of(grid, source.position(record)) / Policy::bin_cells, 1);
@@ -417,7 +420,7 @@ __global__ void __launch_bounds__(Policy::bin_threads, Policy::bin_blocks_per_sm
   static_assert(Policy::bin_items <= 65536 && bin_cells <= 65536);
   allow_next();
   wait_for_previous();
-  const Grid& grid = *s.grid;
+  const Grid grid = *s.grid;
   const int thread = static_cast<int>(threadIdx.x), bin = static_cast<int>(blockIdx.x);
   const int first_cell = bin * bin_cells;
   if (first_cell >= grid.total) return;
