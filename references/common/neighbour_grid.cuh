@@ -166,10 +166,16 @@ __device__ __forceinline__ int bins_of(const Grid& grid) {
   return (grid.total + Policy::bin_cells - 1) / Policy::bin_cells;
 }
 
-// Copies 16 bytes to shared memory without a register between: a loop of these has all of them under way.
+// Copy to shared memory without a register between: a loop of these has all of them under way.
 __device__ __forceinline__ void copy_async(float4* to, const float4* from) {
   asm volatile(
       "cp.async.cg.shared.global [%0], [%1], 16;" ::"r"(static_cast<unsigned>(__cvta_generic_to_shared(to))),
+      "l"(from)
+      : "memory");
+}
+__device__ __forceinline__ void copy_async(int* to, const int* from) {
+  asm volatile(
+      "cp.async.ca.shared.global [%0], [%1], 4;" ::"r"(static_cast<unsigned>(__cvta_generic_to_shared(to))),
       "l"(from)
       : "memory");
 }
@@ -343,8 +349,19 @@ __global__ void __launch_bounds__(Policy::split_threads)
   }
   __syncthreads();
   int* const reserved = s.reserved + static_cast<std::size_t>(block) * s.bins;
-  for (int b = thread; b < bins; b += Policy::split_threads)
-    reserved[b] = atomicAdd(s.bin_count + b, counts[b]);
+  for (int first = thread; first < bins; first += 4 * Policy::split_threads) {
+    int before[4];  // four under way
+#pragma unroll
+    for (int k = 0; k < 4; ++k) {
+      const int b = first + k * Policy::split_threads;
+      before[k] = b < bins ? atomicAdd(s.bin_count + b, counts[b]) : 0;
+    }
+#pragma unroll
+    for (int k = 0; k < 4; ++k) {
+      const int b = first + k * Policy::split_threads;
+      if (b < bins) reserved[b] = before[k];
+    }
+  }
 }
 
 template <class Policy, class Source>
@@ -356,6 +373,7 @@ __global__ void __launch_bounds__(Policy::split_threads, Policy::split_blocks_pe
   extern __shared__ float4 dynamic_shared[];
   Record* const staged = reinterpret_cast<Record*>(dynamic_shared);
   int* const next = reinterpret_cast<int*>(staged + threads);  // slot of each bin
+  int* const totals = next + s.bins;                           // and its items
   __shared__ int warps[threads / 32];
   const int thread = static_cast<int>(threadIdx.x), lane = thread % 32, block = static_cast<int>(blockIdx.x);
   allow_next();
@@ -365,20 +383,25 @@ __global__ void __launch_bounds__(Policy::split_threads, Policy::split_blocks_pe
   wait_for_previous();
   __shared__ Grid grid;  // registers are short, and global memory is behind the record in the queue
   if (thread == 0) grid = *s.grid;
-  __syncthreads();
-  const int bins = bins_of<Policy>(grid);
+  const int bins = bins_of<Policy>(*s.grid);
   {
     // Every block sums up the bins for itself: cheaper than a launch.
+    const int* const reserved = s.reserved + static_cast<std::size_t>(block) * s.bins;
+    for (int b = thread; b < bins; b += threads) {
+      copy_async(next + b, reserved + b);
+      copy_async(totals + b, s.bin_count + b);
+    }
+    wait_for_copies();
+    __syncthreads();
     const int share = (bins + threads - 1) / threads;
     const int first = min(thread * share, bins), last = min(first + share, bins);
     int own = 0;
-    for (int b = first; b < last; ++b) own += s.bin_count[b];
+    for (int b = first; b < last; ++b) own += totals[b];
     int slot = sum_before<threads>(own, warps);
-    const int* const reserved = s.reserved + static_cast<std::size_t>(block) * s.bins;
     for (int b = first; b < last; ++b) {
-      next[b] = slot + reserved[b];
+      next[b] += slot;
       if (block == 0) s.bin_start[b] = slot;
-      slot += s.bin_count[b];
+      slot += totals[b];
     }
     if (block == 0 && thread == 0) s.bin_start[bins] = source.count;
   }
@@ -457,17 +480,21 @@ __global__ void __launch_bounds__(Policy::bin_threads, Policy::bin_blocks_per_sm
   if (thread < bin_cells / 4) cell_counts[thread] = make_int4(0, 0, 0, 0);
   wait_for_copies();
   __syncthreads();
-  unsigned found[share];  // cell and rank in it of the thread's records
+  unsigned found[share] = {};  // cells of the thread's records, and ranks in them
   if (fits) {
+    int rank[share] = {};
 #pragma unroll
     for (int j = 0; j < share; ++j) {
       const int k = thread + j * threads;
-      found[j] = 0;
-      if (k < count) {
-        const int cell = cell_in_bin(staged(k));
-        found[j] = static_cast<unsigned>(cell) << 16 | static_cast<unsigned>(atomicAdd(cells + cell, 1));
-      }
+      if (k < count) found[j] = static_cast<unsigned>(cell_in_bin(staged(k)));
     }
+    // All under way before the first is waited for.
+#pragma unroll
+    for (int j = 0; j < share; ++j) {
+      if (thread + j * threads < count) rank[j] = atomicAdd(cells + found[j], 1);
+    }
+#pragma unroll
+    for (int j = 0; j < share; ++j) found[j] |= static_cast<unsigned>(rank[j]) << 16;
   } else {
     for (int k = thread; k < count; k += threads) atomicAdd(cells + cell_in_bin(incoming[k]), 1);
   }
@@ -497,7 +524,7 @@ __global__ void __launch_bounds__(Policy::bin_threads, Policy::bin_blocks_per_sm
   for (int j = 0; j < share; ++j) {
     const int k = thread + j * threads;
     if (k < count)
-      order[cells[found[j] >> 16] + static_cast<int>(found[j] & 0xffffu)] = static_cast<unsigned short>(k);
+      order[cells[found[j] & 0xffffu] + static_cast<int>(found[j] >> 16)] = static_cast<unsigned short>(k);
   }
   __syncthreads();
   for (int k = thread; k < count; k += threads) place(begin + k, staged(order[k]));
@@ -561,7 +588,7 @@ class NeighbourGrid {
   template <class Source>
   std::size_t split_bytes() const {
     return sizeof(typename Source::Record) * Policy::split_threads +
-           sizeof(int) * static_cast<std::size_t>(s_.bins);
+           2 * sizeof(int) * static_cast<std::size_t>(s_.bins);
   }
   template <class Source>
   static std::size_t bin_bytes() {

@@ -75,6 +75,23 @@ static_assert(Policy::queue >= columns && Policy::threads % 32 == 0);
 // Codes behind the last grain's: they may be read, but are not grains.
 constexpr int padding = Policy::at_once > Policy::more ? Policy::at_once : Policy::more;
 
+// Flushing results too small for the contract spares the code that would scale them.
+__device__ __forceinline__ float approximate_sqrt(float a) {
+  float root;
+  asm("sqrt.approx.ftz.f32 %0, %1;" : "=f"(root) : "f"(a));  // 1 ulp, and 0 for 0
+  return root;
+}
+__device__ __forceinline__ float approximate_rsqrt(float a) {
+  float root;
+  asm("rsqrt.approx.ftz.f32 %0, %1;" : "=f"(root) : "f"(a));
+  return root;
+}
+__device__ __forceinline__ float approximate_inverse(float a) {
+  float inverse;
+  asm("rcp.approx.ftz.f32 %0, %1;" : "=f"(inverse) : "f"(a));
+  return inverse;
+}
+
 // A grain, one sector.
 struct alignas(32) Grain {
   float4 sphere;  // centre, radius
@@ -107,7 +124,7 @@ __device__ __forceinline__ unsigned code_of(const neighbour_grid::Grid& grid, co
   const int z = static_cast<int>(floorf((sphere.z - grid.low[2]) * per_metre));
   const float smaller = grid.largest - sphere.w;
   const float square = smaller * (2.0f * (grid.largest + grid.smallest) - smaller);
-  const int w = static_cast<int>(sqrtf(fmaxf(square, 0.0f)) * per_metre * 0.99999f);  // below 60
+  const int w = static_cast<int>(approximate_sqrt(fmaxf(square, 0.0f)) * per_metre * 0.99999f);  // below 60
   return static_cast<unsigned>(w) | (0u - static_cast<unsigned>(x)) % 256u << 8 |
          (0u - static_cast<unsigned>(y)) % 256u << 16 | (0u - static_cast<unsigned>(z)) << 24;
 }
@@ -167,23 +184,6 @@ struct Grains {
 struct Law {
   float kn, cn;
 };
-
-// Flushing results too small for the contract spares the code that would scale them.
-__device__ __forceinline__ float approximate_sqrt(float a) {
-  float root;
-  asm("sqrt.approx.ftz.f32 %0, %1;" : "=f"(root) : "f"(a));  // 1 ulp, and 0 for 0
-  return root;
-}
-__device__ __forceinline__ float approximate_rsqrt(float a) {
-  float root;
-  asm("rsqrt.approx.ftz.f32 %0, %1;" : "=f"(root) : "f"(a));
-  return root;
-}
-__device__ __forceinline__ float approximate_inverse(float a) {
-  float inverse;
-  asm("rcp.approx.ftz.f32 %0, %1;" : "=f"(inverse) : "f"(a));
-  return inverse;
-}
 
 // Adds to `force` what the grain (sphere, motion) feels from another one, if they touch. Neither the grain
 // itself nor one with the same centre pushes: a direction is missing.
