@@ -29,7 +29,6 @@
 
 #include "cases/local_interaction/contact_dem.hpp"
 #include "core/module.hpp"
-#include "references/common/dependent_launch.cuh"
 #include "references/common/neighbour_grid.cuh"
 
 namespace gpuphys::contact_dem {
@@ -247,15 +246,17 @@ __global__ void __launch_bounds__(Policy::threads, Policy::blocks_per_sm)
                  const neighbour_grid::Grid* grid_in, const int* start, float* result, Law law, int count) {
   __shared__ int2 queue[Policy::queue * Policy::threads];
   __shared__ float staged[3 * Policy::threads];
+  __shared__ neighbour_grid::Grid grid;
   const int thread = static_cast<int>(threadIdx.x);
   // From the last slot to the first: what was sorted last is still in L2.
   const int slot = static_cast<int>(gridDim.x - 1 - blockIdx.x) * Policy::threads + thread;
   float3 force{0.0f, 0.0f, 0.0f};
   int index = -1;
-  wait_for_previous();
+  // Registers are short: the search reads the grid again and again, and global memory has a queue.
+  if (thread == 0) grid = *grid_in;
+  const float4 sphere = spheres[min(slot, count - 1)];
+  __syncthreads();
   if (slot < count) {
-    const neighbour_grid::Grid& grid = *grid_in;
-    const float4 sphere = spheres[slot];
     const unsigned probe = probe_of(grid, sphere);
     const int bound = code_bound(grid, sphere.w);
     // Candidates of a column with hits: the slot behind the last one, and a bit a hit. Entries thread, thread
@@ -267,7 +268,7 @@ __global__ void __launch_bounds__(Policy::threads, Policy::blocks_per_sm)
       // Loaded again, as the search has no registers to spare.
       const int own = opaque(slot);
       const Grain grain{spheres[own], motions[own]};
-      index = __float_as_int(grain.motion.w);
+      if constexpr (decltype(two_at_once)::value) index = __float_as_int(grain.motion.w);  // the last time
       unsigned entry = 0;
       int2 run{0, 0};
       const auto more = [&] {
@@ -370,9 +371,10 @@ class Reference {
     if (n == 0) return;
     const auto blocks = [n](int threads) { return static_cast<unsigned>((n + threads - 1) / threads); };
     grid_.build(Grains{in.x.data, in.v.data, in.radius.data, split_.get(), sorted_.get(), codes_.get(), n});
-    launch_dependent(sum_contacts, blocks(Policy::threads), Policy::threads, 0, sorted_.get(),
-                     sorted_.get() + n, codes_.get(), grid_.grid(), grid_.start(), out.force.data,
-                     Law{in.kn, in.cn}, n);
+    // An ordinary launch: blocks that join those of sort_bins on an SM would get what these leave of L1.
+    sum_contacts<<<blocks(Policy::threads), Policy::threads>>>(sorted_.get(), sorted_.get() + n, codes_.get(),
+                                                               grid_.grid(), grid_.start(), out.force.data,
+                                                               Law{in.kn, in.cn}, n);
   }
 
  private:
