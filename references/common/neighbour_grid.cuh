@@ -1,15 +1,16 @@
 // Neighbour search on the device: items sorted by the cells of a uniform grid, for any payload and any
 // cut-off.
 //
-// A build sorts in two levels and is four launches, without a round trip to the host:
+// A build sorts in two levels and is four launches, each prepared during the one before
+// (dependent_launch.cuh), without a round trip to the host:
 //   1. find_bounds   bounding box and largest radius; its last block chooses the grid.
 //   2. count_items   a block counts its part of the items by bins, ranges of `bin_cells` cells, in shared
 //                    memory, and reserves its place in each bin: one atomic a bin and block, in whole
 //                    sectors.
-//   3. split_items   the same blocks write their items' records to their bins.
+//   3. split_items   the same blocks write their items' records to their bins, one record a thread ahead.
 //   4. sort_bins     a block a bin: counts the bin's cells, writes their starts, and its records in order.
-//                    All in shared memory; a bin with more than `bin_items` goes through global memory
-//                    instead.
+//                    All in shared memory, and each record is ranked once; a bin with more than
+//                    `bin_items` goes through global memory instead.
 // Cells are contiguous along z, so that the cells [z0, z1] of one column are one range of slots:
 // [start[row + z0], start[row + z1 + 1]).
 //
@@ -31,10 +32,13 @@
 //   float4* sorted;                                receives the result, word by word: that of number w of
 //                                                  the record in slot s is sorted[w * count + s]
 //
-// What bounds it: memory. Records are written twice and read once, and split_items writes them in runs of a
-// few, by sectors: neighbouring lanes write the words of one record in one instruction. A record of 32 or 64
-// bytes fills whole sectors, whereas a sector written in part may be fetched from DRAM before it is written
-// back (measured: 0.25 ms for 2M records of two separate 16-byte stores). Keep other sizes rare.
+// What bounds it: memory, if waits are kept side by side. Records are written twice and read once, and
+// split_items writes them in runs of a few, by sectors: neighbouring lanes write the words of one record in
+// one instruction. A record of 32 or 64 bytes fills whole sectors, whereas a sector written in part may be
+// fetched from DRAM before it is written back (measured: 0.25 ms for 2M records of two separate 16-byte
+// stores). Keep other sizes rare. Loads are issued in batches, also at the end of a loop (indices are clamped
+// there), or go to shared memory without registers (cp.async). The grid is read from registers or shared
+// memory inside loops: a load of it would queue behind those of the items.
 #pragma once
 
 #include <cuda_runtime.h>

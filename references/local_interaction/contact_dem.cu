@@ -2,11 +2,12 @@
 //
 // For every grain: the grains that overlap it, found through a uniform grid, and the sum of their forces.
 //
-// Mapping: the grains are sorted by cell (references/common/neighbour_grid.cuh) into records of one sector:
-// position, radius, velocity, index. Each sphere is written again as a code of four bytes for the search. A
-// thread owns one grain in the sorted order, so a warp owns a stretch of one column of cells and its
-// candidates of another column are a short run of codes. Every pair is evaluated twice, once from either
-// side, with bitwise opposite results: no atomics, and forces balance to the rounding of each sum.
+// Mapping: the grains are sorted by cell (references/common/neighbour_grid.cuh) as records of one sector:
+// position, radius, velocity, index; the result is two arrays, spheres and motions. Each sphere is written
+// again as a code of four bytes for the search. A thread owns one grain in the sorted order, so a warp owns a
+// stretch of one column of cells and its candidates of another column are a short run of codes. Every pair is
+// evaluated twice, once from either side, with bitwise opposite results: no atomics, and forces balance to
+// the rounding of each sum.
 //
 // What bounds it: the sort, memory (340 MB in and out, most of it records); the search, instructions and L1.
 // A grain meets 8.2 columns of cells and 37 candidates (cells of 1.2 x 1.2 x 0.6 against a reach of 1.15), of
@@ -23,6 +24,8 @@
 //   57 instructions) runs over the queues with most lanes busy: the longest of a warp's 32 holds 6.4.
 //   Evaluated inside the search, nearly every candidate would drag its warp through the force. Nor does the
 //   search keep what only the force needs in registers: they limit the warps of an SM.
+// - Spheres and motions in arrays of their own: what the lanes of a warp gather lies in fewer lines, and in
+//   all banks of L1.
 // The forces go back to the order of the input by scattered writes; three neighbouring lanes write the three
 // words of a grain, so that it costs one or two sectors instead of three requests.
 #include <type_traits>
