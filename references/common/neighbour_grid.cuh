@@ -1,15 +1,16 @@
 // Neighbour search on the device: items sorted by the cells of a uniform grid, for any payload and any
 // cut-off.
 //
-// A build sorts in two levels and is four launches, without a round trip to the host:
+// A build sorts in two levels and is four launches, each prepared during the one before
+// (dependent_launch.cuh), without a round trip to the host:
 //   1. find_bounds   bounding box and largest radius; its last block chooses the grid.
 //   2. count_items   a block counts its part of the items by bins, ranges of `bin_cells` cells, in shared
 //                    memory, and reserves its place in each bin: one atomic a bin and block, in whole
 //                    sectors.
-//   3. split_items   the same blocks write their items' records to their bins.
+//   3. split_items   the same blocks write their items' records to their bins, one record a thread ahead.
 //   4. sort_bins     a block a bin: counts the bin's cells, writes their starts, and its records in order.
-//                    All in shared memory; a bin with more than `bin_items` goes through global memory
-//                    instead.
+//                    All in shared memory, and each record is ranked once; a bin with more than
+//                    `bin_items` goes through global memory instead.
 // Cells are contiguous along z, so that the cells [z0, z1] of one column are one range of slots:
 // [start[row + z0], start[row + z1 + 1]).
 //
@@ -26,14 +27,18 @@
 //   __device__ Record record(int i) const;         of item i
 //   __device__ float3 position(const Record&) const;   the same as of its item, bit by bit
 //   __device__ void placed(const Grid&, int slot, const Record&) const;   told what comes to each slot
-//   Record *split, *records;                       device memory for `count` of them each, aligned to
-//                                                  32 bytes; the second receives the result, the first is
-//                                                  scratch
+//   Record* split;                                 scratch in device memory for `count` of them, aligned to
+//                                                  32 bytes
+//   float4* sorted;                                receives the result, word by word: that of number w of
+//                                                  the record in slot s is sorted[w * count + s]
 //
-// What bounds it: memory. Records are written twice and read once, and split_items writes them in runs of a
-// few, by sectors: neighbouring lanes write the words of one record in one instruction. A record of 32 or 64
-// bytes fills whole sectors, whereas a sector written in part may be fetched from DRAM before it is written
-// back (measured: 0.25 ms for 2M records of two separate 16-byte stores). Keep other sizes rare.
+// What bounds it: memory, if waits are kept side by side. Records are written twice and read once, and
+// split_items writes them in runs of a few, by sectors: neighbouring lanes write the words of one record in
+// one instruction. A record of 32 or 64 bytes fills whole sectors, whereas a sector written in part may be
+// fetched from DRAM before it is written back (measured: 0.25 ms for 2M records of two separate 16-byte
+// stores). Keep other sizes rare. Loads are issued in batches, also at the end of a loop (indices are clamped
+// there), or go to shared memory without registers (cp.async). The grid is read from registers or shared
+// memory inside loops: a load of it would queue behind those of the items.
 #pragma once
 
 #include <cuda_runtime.h>
@@ -43,6 +48,7 @@
 #include <cstdint>
 
 #include "core/module.hpp"
+#include "references/common/dependent_launch.cuh"
 #include "references/common/device_buffer.cuh"
 
 namespace gpuphys::neighbour_grid {
@@ -98,8 +104,8 @@ struct Ranges {
 /// others), each once; no range is longer than Longest. Calls prepare() before it fetches each. `p` need not
 /// be an item.
 template <int Longest, class Prepare, class Visit>
-__device__ __forceinline__ void visit_ranges(const Grid& grid, const int* __restrict__ start, float3 p,
-                                             float cutoff, Prepare&& prepare, Visit&& visit) {
+__device__ __forceinline__ void visit_ranges(const Grid& grid, const int* start, float3 p, float cutoff,
+                                             Prepare&& prepare, Visit&& visit) {
   const int x0 = cell_along(grid, 0, p.x - cutoff), x1 = cell_along(grid, 0, p.x + cutoff);
   const int y0 = cell_along(grid, 1, p.y - cutoff), y1 = cell_along(grid, 1, p.y + cutoff);
   const int z0 = cell_along(grid, 2, p.z - cutoff), z1 = cell_along(grid, 2, p.z + cutoff);
@@ -162,6 +168,24 @@ struct Storage {
 template <class Policy>
 __device__ __forceinline__ int bins_of(const Grid& grid) {
   return (grid.total + Policy::bin_cells - 1) / Policy::bin_cells;
+}
+
+// Copy to shared memory without a register between: a loop of these has all of them under way.
+__device__ __forceinline__ void copy_async(float4* to, const float4* from) {
+  asm volatile(
+      "cp.async.cg.shared.global [%0], [%1], 16;" ::"r"(static_cast<unsigned>(__cvta_generic_to_shared(to))),
+      "l"(from)
+      : "memory");
+}
+__device__ __forceinline__ void copy_async(int* to, const int* from) {
+  asm volatile(
+      "cp.async.ca.shared.global [%0], [%1], 4;" ::"r"(static_cast<unsigned>(__cvta_generic_to_shared(to))),
+      "l"(from)
+      : "memory");
+}
+// For the thread's own copies.
+__device__ __forceinline__ void wait_for_copies() {
+  asm volatile("cp.async.wait_all;" ::: "memory");
 }
 
 /// Sum of the threads before this one. Called by all threads of the block, once.
@@ -257,16 +281,26 @@ __global__ void __launch_bounds__(Policy::bounds_threads)
     find_bounds(const __grid_constant__ Source source, const __grid_constant__ Storage s) {
   __shared__ Bounds warps[Policy::bounds_threads / 32];
   __shared__ bool last_block;
+  allow_next();
   const int first = static_cast<int>(blockIdx.x * blockDim.x + threadIdx.x);
   const int stride = static_cast<int>(gridDim.x * blockDim.x);
   for (int c = first; c < s.bins; c += stride) s.bin_count[c] = 0;
 
   Bounds b = empty_bounds();
-#pragma unroll 4  // loads of four items in flight
-  for (int i = first; i < source.count; i += stride) {
-    const float3 p = source.position(i);
-    const float radius = source.radius(i);
-    include(b, {{p.x, p.y, p.z}, {p.x, p.y, p.z}, radius, radius});
+  // Loads of four items in flight, also at the end, where the last item is met again.
+  const std::int64_t last = source.count - 1;
+  for (std::int64_t i = first; i <= last; i += 4 * static_cast<std::int64_t>(stride)) {
+    float3 p[4];
+    float radius[4];
+#pragma unroll
+    for (int k = 0; k < 4; ++k) {
+      const int item = static_cast<int>(min(i + k * static_cast<std::int64_t>(stride), last));
+      p[k] = source.position(item);
+      radius[k] = source.radius(item);
+    }
+#pragma unroll
+    for (int k = 0; k < 4; ++k)
+      include(b, {{p[k].x, p[k].y, p[k].z}, {p[k].x, p[k].y, p[k].z}, radius[k], radius[k]});
   }
   b = block_bounds<Policy::bounds_threads>(b, warps);
   if (threadIdx.x == 0) {
@@ -300,19 +334,38 @@ template <class Policy, class Source>
 __global__ void __launch_bounds__(Policy::split_threads)
     count_items(const __grid_constant__ Source source, const __grid_constant__ Storage s) {
   __shared__ int counts[Policy::most_bins];
+  allow_next();
+  wait_for_previous();
   const int thread = static_cast<int>(threadIdx.x), block = static_cast<int>(blockIdx.x);
-  const Grid& grid = *s.grid;
+  const Grid grid = *s.grid;
   const int bins = bins_of<Policy>(grid);
   for (int b = thread; b < bins; b += Policy::split_threads) counts[b] = 0;
   __syncthreads();
   const int begin = block * s.part, end = min(begin + s.part, source.count);
-#pragma unroll 4  // loads of four items in flight
-  for (int i = begin + thread; i < end; i += Policy::split_threads)
-    atomicAdd(counts + cell_of(grid, source.position(i)) / Policy::bin_cells, 1);
+  for (int i = begin + thread; i < end; i += 4 * Policy::split_threads) {
+    float3 p[4];  // loads of four items in flight
+#pragma unroll
+    for (int k = 0; k < 4; ++k) p[k] = source.position(min(i + k * Policy::split_threads, end - 1));
+#pragma unroll
+    for (int k = 0; k < 4; ++k) {
+      if (i + k * Policy::split_threads < end) atomicAdd(counts + cell_of(grid, p[k]) / Policy::bin_cells, 1);
+    }
+  }
   __syncthreads();
   int* const reserved = s.reserved + static_cast<std::size_t>(block) * s.bins;
-  for (int b = thread; b < bins; b += Policy::split_threads)
-    reserved[b] = atomicAdd(s.bin_count + b, counts[b]);
+  for (int first = thread; first < bins; first += 4 * Policy::split_threads) {
+    int before[4];  // four under way
+#pragma unroll
+    for (int k = 0; k < 4; ++k) {
+      const int b = first + k * Policy::split_threads;
+      before[k] = b < bins ? atomicAdd(s.bin_count + b, counts[b]) : 0;
+    }
+#pragma unroll
+    for (int k = 0; k < 4; ++k) {
+      const int b = first + k * Policy::split_threads;
+      if (b < bins) reserved[b] = before[k];
+    }
+  }
 }
 
 template <class Policy, class Source>
@@ -324,33 +377,47 @@ __global__ void __launch_bounds__(Policy::split_threads, Policy::split_blocks_pe
   extern __shared__ float4 dynamic_shared[];
   Record* const staged = reinterpret_cast<Record*>(dynamic_shared);
   int* const next = reinterpret_cast<int*>(staged + threads);  // slot of each bin
+  int* const totals = next + s.bins;                           // and its items
   __shared__ int warps[threads / 32];
   const int thread = static_cast<int>(threadIdx.x), lane = thread % 32, block = static_cast<int>(blockIdx.x);
-  const Grid& grid = *s.grid;
-  const int bins = bins_of<Policy>(grid);
+  allow_next();
+  const int begin = block * s.part, end = min(begin + s.part, source.count);
+  // The next record is under way while one is written; the first also while others are counted.
+  Record ahead = source.record(min(begin + thread, end - 1));
+  wait_for_previous();
+  __shared__ Grid grid;  // registers are short, and global memory is behind the record in the queue
+  if (thread == 0) grid = *s.grid;
+  const int bins = bins_of<Policy>(*s.grid);
   {
     // Every block sums up the bins for itself: cheaper than a launch.
+    const int* const reserved = s.reserved + static_cast<std::size_t>(block) * s.bins;
+    for (int b = thread; b < bins; b += threads) {
+      copy_async(next + b, reserved + b);
+      copy_async(totals + b, s.bin_count + b);
+    }
+    wait_for_copies();
+    __syncthreads();
     const int share = (bins + threads - 1) / threads;
     const int first = min(thread * share, bins), last = min(first + share, bins);
     int own = 0;
-    for (int b = first; b < last; ++b) own += s.bin_count[b];
+    for (int b = first; b < last; ++b) own += totals[b];
     int slot = sum_before<threads>(own, warps);
-    const int* const reserved = s.reserved + static_cast<std::size_t>(block) * s.bins;
     for (int b = first; b < last; ++b) {
-      next[b] = slot + reserved[b];
+      next[b] += slot;
       if (block == 0) s.bin_start[b] = slot;
-      slot += s.bin_count[b];
+      slot += totals[b];
     }
     if (block == 0 && thread == 0) s.bin_start[bins] = source.count;
   }
   __syncthreads();
-  const int begin = block * s.part, end = min(begin + s.part, source.count);
   const float4* const from = reinterpret_cast<const float4*>(staged + (thread - lane));
+#pragma unroll 2  // no moves of what is on its way
   for (int first = begin; first < end; first += threads) {
     const int i = first + thread;
     int slot = -1;
+    const Record record = ahead;
+    ahead = source.record(min(i + threads, end - 1));
     if (i < end) {
-      const Record record = source.record(i);
       staged[thread] = record;
       slot = atomicAdd(next + cell_of(grid, source.position(record)) / Policy::bin_cells, 1);
     }
@@ -365,15 +432,22 @@ __global__ void __launch_bounds__(Policy::split_threads, Policy::split_blocks_pe
   }
 }
 
+/// Words of a bin's records in shared memory: a row for each number of word, rows in different banks.
+template <class Policy>
+constexpr int bin_row = Policy::bin_items / 8 * 8 + 12;
+
 template <class Policy, class Source>
 __global__ void __launch_bounds__(Policy::bin_threads, Policy::bin_blocks_per_sm)
     sort_bins(const __grid_constant__ Source source, const __grid_constant__ Storage s) {
   using Record = typename Source::Record;
   constexpr int threads = Policy::bin_threads, words = static_cast<int>(sizeof(Record) / sizeof(float4));
-  constexpr int bin_cells = Policy::bin_cells;
+  constexpr int bin_cells = Policy::bin_cells, row = bin_row<Policy>;
+  constexpr int share = (Policy::bin_items + threads - 1) / threads;  // most records of a thread
   static_assert(bin_cells % 4 == 0 && threads >= bin_cells / 4 && threads % 32 == 0);
-  static_assert(Policy::bin_items <= 65536);
-  const Grid& grid = *s.grid;
+  static_assert(Policy::bin_items <= 65536 && bin_cells <= 65536);
+  allow_next();
+  wait_for_previous();
+  const Grid grid = *s.grid;
   const int thread = static_cast<int>(threadIdx.x), bin = static_cast<int>(blockIdx.x);
   const int first_cell = bin * bin_cells;
   if (first_cell >= grid.total) return;
@@ -385,20 +459,46 @@ __global__ void __launch_bounds__(Policy::bin_threads, Policy::bin_blocks_per_sm
   const int begin = s.bin_start[bin], count = s.bin_start[bin + 1] - begin;
   const bool fits = count <= Policy::bin_items;
   const Record* const incoming = source.split + begin;
-  const Record* const staged = reinterpret_cast<const Record*>(dynamic_shared);
+  const auto staged = [&](int k) {
+    Record record;
+#pragma unroll
+    for (int w = 0; w < words; ++w) reinterpret_cast<float4*>(&record)[w] = dynamic_shared[w * row + k];
+    return record;
+  };
   const auto cell_in_bin = [&](const Record& record) {
     return cell_of(grid, source.position(record)) - first_cell;
   };
+  const auto place = [&](int slot, const Record& record) {
+#pragma unroll
+    for (int w = 0; w < words; ++w)
+      source.sorted[static_cast<std::size_t>(w) * static_cast<std::size_t>(source.count) +
+                    static_cast<std::size_t>(slot)] = reinterpret_cast<const float4*>(&record)[w];
+    source.placed(grid, slot, record);
+  };
 
-  if (thread < bin_cells / 4) cell_counts[thread] = make_int4(0, 0, 0, 0);
   if (fits) {
     const float4* const from = reinterpret_cast<const float4*>(incoming);
-#pragma unroll 4
-    for (int w = thread; w < count * words; w += threads) dynamic_shared[w] = __ldcs(from + w);
+    for (int w = thread; w < count * words; w += threads)
+      copy_async(dynamic_shared + w % words * row + w / words, from + w);
   }
+  if (thread < bin_cells / 4) cell_counts[thread] = make_int4(0, 0, 0, 0);
+  wait_for_copies();
   __syncthreads();
+  unsigned found[share] = {};  // cells of the thread's records, and ranks in them
   if (fits) {
-    for (int k = thread; k < count; k += threads) atomicAdd(cells + cell_in_bin(staged[k]), 1);
+    int rank[share] = {};
+#pragma unroll
+    for (int j = 0; j < share; ++j) {
+      const int k = thread + j * threads;
+      if (k < count) found[j] = static_cast<unsigned>(cell_in_bin(staged(k)));
+    }
+    // All under way before the first is waited for.
+#pragma unroll
+    for (int j = 0; j < share; ++j) {
+      if (thread + j * threads < count) rank[j] = atomicAdd(cells + found[j], 1);
+    }
+#pragma unroll
+    for (int j = 0; j < share; ++j) found[j] |= static_cast<unsigned>(rank[j]) << 16;
   } else {
     for (int k = thread; k < count; k += threads) atomicAdd(cells + cell_in_bin(incoming[k]), 1);
   }
@@ -420,19 +520,18 @@ __global__ void __launch_bounds__(Policy::bin_threads, Policy::bin_blocks_per_sm
   if (!fits) {
     for (int k = thread; k < count; k += threads) {
       const Record record = incoming[k];
-      const int slot = begin + atomicAdd(cells + cell_in_bin(record), 1);
-      source.records[slot] = record;
-      source.placed(grid, slot, record);
+      place(begin + atomicAdd(cells + cell_in_bin(record), 1), record);
     }
     return;
   }
-  for (int k = thread; k < count; k += threads)
-    order[atomicAdd(cells + cell_in_bin(staged[k]), 1)] = static_cast<unsigned short>(k);
+#pragma unroll
+  for (int j = 0; j < share; ++j) {
+    const int k = thread + j * threads;
+    if (k < count)
+      order[cells[found[j] & 0xffffu] + static_cast<int>(found[j] >> 16)] = static_cast<unsigned short>(k);
+  }
   __syncthreads();
-  float4* const to = reinterpret_cast<float4*>(source.records + begin);
-  for (int w = thread; w < count * words; w += threads)
-    to[w] = dynamic_shared[order[w / words] * words + w % words];
-  for (int k = thread; k < count; k += threads) source.placed(grid, begin + k, staged[order[k]]);
+  for (int k = thread; k < count; k += threads) place(begin + k, staged(order[k]));
 }
 
 }  // namespace detail
@@ -478,12 +577,14 @@ class NeighbourGrid {
   void build(const Source& source) {
     const unsigned parts = static_cast<unsigned>((source.count + s_.part - 1) / s_.part);
     detail::find_bounds<Policy><<<bounds_blocks_, Policy::bounds_threads>>>(source, s_);
-    detail::count_items<Policy><<<parts, Policy::split_threads>>>(source, s_);
-    detail::split_items<Policy><<<parts, Policy::split_threads, split_bytes<Source>()>>>(source, s_);
-    detail::sort_bins<Policy>
-        <<<static_cast<unsigned>(s_.bins), Policy::bin_threads, bin_bytes<Source>()>>>(source, s_);
+    launch_dependent(detail::count_items<Policy, Source>, parts, Policy::split_threads, 0, source, s_);
+    launch_dependent(detail::split_items<Policy, Source>, parts, Policy::split_threads, split_bytes<Source>(),
+                     source, s_);
+    launch_dependent(detail::sort_bins<Policy, Source>, static_cast<unsigned>(s_.bins), Policy::bin_threads,
+                     bin_bytes<Source>(), source, s_);
   }
 
+  // For kernels launched after build(): by launch_dependent(), or as usual.
   const Grid* grid() const { return s_.grid; }
   const int* start() const { return s_.start; }  ///< first slot of each cell, and the number of items
 
@@ -491,11 +592,11 @@ class NeighbourGrid {
   template <class Source>
   std::size_t split_bytes() const {
     return sizeof(typename Source::Record) * Policy::split_threads +
-           sizeof(int) * static_cast<std::size_t>(s_.bins);
+           2 * sizeof(int) * static_cast<std::size_t>(s_.bins);
   }
   template <class Source>
   static std::size_t bin_bytes() {
-    return sizeof(typename Source::Record) * Policy::bin_items;
+    return sizeof(typename Source::Record) * detail::bin_row<Policy>;
   }
 
   detail::Storage s_{};

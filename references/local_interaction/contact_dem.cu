@@ -2,11 +2,12 @@
 //
 // For every grain: the grains that overlap it, found through a uniform grid, and the sum of their forces.
 //
-// Mapping: the grains are sorted by cell (references/common/neighbour_grid.cuh) into records of one sector:
-// position, radius, velocity, index. Each sphere is written again as a code of four bytes for the search. A
-// thread owns one grain in the sorted order, so a warp owns a stretch of one column of cells and its
-// candidates of another column are a short run of codes. Every pair is evaluated twice, once from either
-// side, with bitwise opposite results: no atomics, and forces balance to the rounding of each sum.
+// Mapping: the grains are sorted by cell (references/common/neighbour_grid.cuh) as records of one sector:
+// position, radius, velocity, index; the result is two arrays, spheres and motions. Each sphere is written
+// again as a code of four bytes for the search. A thread owns one grain in the sorted order, so a warp owns a
+// stretch of one column of cells and its candidates of another column are a short run of codes. Every pair is
+// evaluated twice, once from either side, with bitwise opposite results: no atomics, and forces balance to
+// the rounding of each sum.
 //
 // What bounds it: the sort, memory (340 MB in and out, most of it records); the search, instructions and L1.
 // A grain meets 8.2 columns of cells and 37 candidates (cells of 1.2 x 1.2 x 0.6 against a reach of 1.15), of
@@ -23,6 +24,8 @@
 //   57 instructions) runs over the queues with most lanes busy: the longest of a warp's 32 holds 6.4.
 //   Evaluated inside the search, nearly every candidate would drag its warp through the force. Nor does the
 //   search keep what only the force needs in registers: they limit the warps of an SM.
+// - Spheres and motions in arrays of their own: what the lanes of a warp gather lies in fewer lines, and in
+//   all banks of L1.
 // The forces go back to the order of the input by scattered writes; three neighbouring lanes write the three
 // words of a grain, so that it costs one or two sectors instead of three requests.
 #include <type_traits>
@@ -55,21 +58,6 @@ struct Policy {
   static constexpr int queue = 3;
   static constexpr int blocks_per_sm = 16;
 };
-#elif defined(GPUPHYS_TRY)
-struct GridPolicy : neighbour_grid::DefaultPolicy {
-  static constexpr int bin_cells = 1536;
-  static constexpr int bin_items = 2432;
-  static constexpr int bin_threads = 768;
-  static constexpr int bin_blocks_per_sm = 2;
-};
-struct Policy {
-  static constexpr int threads = 512;
-  static constexpr int at_once = 6;
-  static constexpr int more = 3;
-  static constexpr int run = 30;
-  static constexpr int queue = 8;
-  static constexpr int blocks_per_sm = 3;
-};
 #else
 using GridPolicy = neighbour_grid::DefaultPolicy;
 struct Policy {
@@ -88,6 +76,23 @@ static_assert(Policy::run <= 32 && (Policy::run - Policy::at_once) % Policy::mor
 static_assert(Policy::queue >= columns && Policy::threads % 32 == 0);
 // Codes behind the last grain's: they may be read, but are not grains.
 constexpr int padding = Policy::at_once > Policy::more ? Policy::at_once : Policy::more;
+
+// Flushing results too small for the contract spares the code that would scale them.
+__device__ __forceinline__ float approximate_sqrt(float a) {
+  float root;
+  asm("sqrt.approx.ftz.f32 %0, %1;" : "=f"(root) : "f"(a));  // 1 ulp, and 0 for 0
+  return root;
+}
+__device__ __forceinline__ float approximate_rsqrt(float a) {
+  float root;
+  asm("rsqrt.approx.ftz.f32 %0, %1;" : "=f"(root) : "f"(a));
+  return root;
+}
+__device__ __forceinline__ float approximate_inverse(float a) {
+  float inverse;
+  asm("rcp.approx.ftz.f32 %0, %1;" : "=f"(inverse) : "f"(a));
+  return inverse;
+}
 
 // A grain, one sector.
 struct alignas(32) Grain {
@@ -121,7 +126,7 @@ __device__ __forceinline__ unsigned code_of(const neighbour_grid::Grid& grid, co
   const int z = static_cast<int>(floorf((sphere.z - grid.low[2]) * per_metre));
   const float smaller = grid.largest - sphere.w;
   const float square = smaller * (2.0f * (grid.largest + grid.smallest) - smaller);
-  const int w = static_cast<int>(sqrtf(fmaxf(square, 0.0f)) * per_metre * 0.99999f);  // below 60
+  const int w = static_cast<int>(approximate_sqrt(fmaxf(square, 0.0f)) * per_metre * 0.99999f);  // below 60
   return static_cast<unsigned>(w) | (0u - static_cast<unsigned>(x)) % 256u << 8 |
          (0u - static_cast<unsigned>(y)) % 256u << 16 | (0u - static_cast<unsigned>(z)) << 24;
 }
@@ -151,7 +156,7 @@ struct Grains {
   const float* __restrict__ v;
   const float* __restrict__ r;
   Grain* __restrict__ split;
-  Grain* __restrict__ records;
+  float4* __restrict__ sorted;
   unsigned* __restrict__ codes;
   int count;
 
@@ -181,23 +186,6 @@ struct Grains {
 struct Law {
   float kn, cn;
 };
-
-// Flushing results too small for the contract spares the code that would scale them.
-__device__ __forceinline__ float approximate_sqrt(float a) {
-  float root;
-  asm("sqrt.approx.ftz.f32 %0, %1;" : "=f"(root) : "f"(a));  // 1 ulp, and 0 for 0
-  return root;
-}
-__device__ __forceinline__ float approximate_rsqrt(float a) {
-  float root;
-  asm("rsqrt.approx.ftz.f32 %0, %1;" : "=f"(root) : "f"(a));
-  return root;
-}
-__device__ __forceinline__ float approximate_inverse(float a) {
-  float inverse;
-  asm("rcp.approx.ftz.f32 %0, %1;" : "=f"(inverse) : "f"(a));
-  return inverse;
-}
 
 // Adds to `force` what the grain (sphere, motion) feels from another one, if they touch. Neither the grain
 // itself nor one with the same centre pushes: a direction is missing.
@@ -257,18 +245,21 @@ __device__ __forceinline__ int2 load_shared(unsigned address) {
 }
 
 __global__ void __launch_bounds__(Policy::threads, Policy::blocks_per_sm)
-    sum_contacts(const Grain* __restrict__ records, const unsigned* __restrict__ codes,
-                 const neighbour_grid::Grid* __restrict__ grid_in, const int* __restrict__ start,
-                 float* __restrict__ result, Law law, int count) {
+    sum_contacts(const float4* spheres, const float4* motions, const unsigned* codes,
+                 const neighbour_grid::Grid* grid_in, const int* start, float* result, Law law, int count) {
   __shared__ int2 queue[Policy::queue * Policy::threads];
   __shared__ float staged[3 * Policy::threads];
+  __shared__ neighbour_grid::Grid grid;
   const int thread = static_cast<int>(threadIdx.x);
-  const int slot = static_cast<int>(blockIdx.x) * Policy::threads + thread;
+  // From the last slot to the first: what was sorted last is still in L2.
+  const int slot = static_cast<int>(gridDim.x - 1 - blockIdx.x) * Policy::threads + thread;
   float3 force{0.0f, 0.0f, 0.0f};
   int index = -1;
+  // Registers are short: the search reads the grid again and again, and global memory has a queue.
+  if (thread == 0) grid = *grid_in;
+  const float4 sphere = spheres[min(slot, count - 1)];
+  __syncthreads();
   if (slot < count) {
-    const neighbour_grid::Grid& grid = *grid_in;
-    const float4 sphere = records[slot].sphere;
     const unsigned probe = probe_of(grid, sphere);
     const int bound = code_bound(grid, sphere.w);
     // Candidates of a column with hits: the slot behind the last one, and a bit a hit. Entries thread, thread
@@ -278,8 +269,9 @@ __global__ void __launch_bounds__(Policy::threads, Policy::blocks_per_sm)
     unsigned top = 0;
     const auto evaluate = [&]([[maybe_unused]] auto two_at_once) {
       // Loaded again, as the search has no registers to spare.
-      const Grain grain = records[opaque(slot)];
-      index = __float_as_int(grain.motion.w);
+      const int own = opaque(slot);
+      const Grain grain{spheres[own], motions[own]};
+      if constexpr (decltype(two_at_once)::value) index = __float_as_int(grain.motion.w);  // the last time
       unsigned entry = 0;
       int2 run{0, 0};
       const auto more = [&] {
@@ -299,11 +291,11 @@ __global__ void __launch_bounds__(Policy::threads, Policy::blocks_per_sm)
         if constexpr (decltype(two_at_once)::value) {
           // Half as many waits for records. A grain feels nothing from itself.
           const int b = more() ? take() : slot;
-          const Grain first = records[a], second = records[b];
+          const Grain first{spheres[a], motions[a]}, second{spheres[b], motions[b]};
           add_contact(force, grain.sphere, grain.motion, first.sphere, first.motion, law);
           add_contact(force, grain.sphere, grain.motion, second.sphere, second.motion, law);
         } else {
-          const Grain other = records[a];
+          const Grain other{spheres[a], motions[a]};
           add_contact(force, grain.sphere, grain.motion, other.sphere, other.motion, law);
         }
       }
@@ -323,13 +315,13 @@ __global__ void __launch_bounds__(Policy::threads, Policy::blocks_per_sm)
 #pragma unroll
       for (int c = 0; c < columns; ++c) {
         hits[c] = 0;
-        const unsigned* __restrict__ const from = codes + ranges.begin[c];
+        const unsigned* const from = codes + ranges.begin[c];
 #pragma unroll
         for (int k = 0; k < Policy::at_once; ++k) hits[c] = test(hits[c], from[k]);
       }
 #pragma unroll
       for (int c = 0; c < columns; ++c) {
-        const unsigned* __restrict__ const from = codes + ranges.begin[c];
+        const unsigned* const from = codes + ranges.begin[c];
         const int length = ranges.end[c] - ranges.begin[c];
         int tested = Policy::at_once;
 #pragma unroll 1
@@ -373,7 +365,7 @@ class Reference {
     if (n > (1 << 30)) throw std::runtime_error("contact_dem: more than 2^30 grains");
     grid_.allocate<Grains>(n);
     split_ = DeviceBuffer<Grain>(static_cast<std::size_t>(n));
-    records_ = DeviceBuffer<Grain>(static_cast<std::size_t>(n));
+    sorted_ = DeviceBuffer<float4>(2 * static_cast<std::size_t>(n));
     codes_ = DeviceBuffer<unsigned>(static_cast<std::size_t>(n) + padding);
   }
 
@@ -381,14 +373,17 @@ class Reference {
     const int n = static_cast<int>(in.radius.shape[0]);
     if (n == 0) return;
     const auto blocks = [n](int threads) { return static_cast<unsigned>((n + threads - 1) / threads); };
-    grid_.build(Grains{in.x.data, in.v.data, in.radius.data, split_.get(), records_.get(), codes_.get(), n});
-    sum_contacts<<<blocks(Policy::threads), Policy::threads>>>(
-        records_.get(), codes_.get(), grid_.grid(), grid_.start(), out.force.data, Law{in.kn, in.cn}, n);
+    grid_.build(Grains{in.x.data, in.v.data, in.radius.data, split_.get(), sorted_.get(), codes_.get(), n});
+    // An ordinary launch: blocks that join those of sort_bins on an SM would get what these leave of L1.
+    sum_contacts<<<blocks(Policy::threads), Policy::threads>>>(sorted_.get(), sorted_.get() + n, codes_.get(),
+                                                               grid_.grid(), grid_.start(), out.force.data,
+                                                               Law{in.kn, in.cn}, n);
   }
 
  private:
   neighbour_grid::NeighbourGrid<GridPolicy> grid_;
-  DeviceBuffer<Grain> split_, records_;
+  DeviceBuffer<Grain> split_;
+  DeviceBuffer<float4> sorted_;
   DeviceBuffer<unsigned> codes_;
 };
 
