@@ -57,17 +57,33 @@ inline Coarsening coarsening_to(int l, bool rows_sum_to_zero, float first_coupli
   return {rows_sum_to_zero, coupling, rows_sum_to_zero ? coupling : 2 * coupling * held, held};
 }
 
-/// What the diagonal holds beyond its couplings (<= 0), summed without rounding errors; what the rounding of
-/// the diagonal itself may be counts as nothing.
-__host__ __device__ __forceinline__ float excess_of(float diag, const float (&inner)[3],
+/// A product that is not contracted into a sum: what is added is what is stored.
+__host__ __device__ __forceinline__ float rounded_product(float a, float b) {
+#ifdef __CUDA_ARCH__
+  return __fmul_rn(a, b);
+#else
+  return a * b;
+#endif
+}
+
+/// start + inner + outer, summed without rounding errors.
+__host__ __device__ __forceinline__ float exact_sum(float start, const float (&inner)[3],
                                                     const float (&outer)[3]) {
-  float sum = diag, lost = 0;
+  float sum = start, lost = 0;
   for (int d = 0; d < 6; ++d) {
     const float term = d < 3 ? inner[d] : outer[d - 3], next = sum + term, gained = next - sum;
     lost += (sum - (next - gained)) + (term - gained);
     sum = next;
   }
-  return sum + lost > 1.2e-7f * diag ? sum + lost : 0.0f;
+  return sum + lost;
+}
+
+/// What the diagonal holds beyond its couplings (<= 0); what the rounding of the diagonal itself may be
+/// counts as nothing.
+__host__ __device__ __forceinline__ float excess_of(float diag, const float (&inner)[3],
+                                                    const float (&outer)[3]) {
+  const float excess = exact_sum(diag, inner, outer);
+  return excess > 1.2e-7f * diag ? excess : 0.0f;
 }
 
 /// Row of a coarse matrix.
@@ -123,7 +139,6 @@ __host__ __device__ __forceinline__ CoarseCell coarse_cell(const Matrix& fine, i
                     excess_of(entry(fine.diag, i0 + a, j0 + b, k0 + c), inner, outer);
         }
   }
-  float couplings = 0;
   CoarseCell coarse{};
   for (int axis = 0; axis < 3; ++axis) {
     const int first = axis == 0   ? i0
@@ -132,13 +147,14 @@ __host__ __device__ __forceinline__ CoarseCell coarse_cell(const Matrix& fine, i
               n = axis == 0   ? fine.nx
                   : axis == 1 ? fine.ny
                               : fine.nz;
-    face[axis][0] *= first + 1 < n ? rule.coupling : rule.thin;
-    face[axis][2] *= first + 3 < n ? rule.coupling : rule.thin;
-    couplings += face[axis][0] + face[axis][2];
+    face[axis][0] = rounded_product(face[axis][0], first + 1 < n ? rule.coupling : rule.thin);
+    face[axis][2] = rounded_product(face[axis][2], first + 3 < n ? rule.coupling : rule.thin);
     if (face[axis][2] != 0) coarse.gates |= static_cast<Gates>(1u << (2 * axis));
     if (face[axis][0] != 0) coarse.gates |= static_cast<Gates>(2u << (2 * axis));
   }
-  coarse.diag = excess - couplings;
+  // Rounded once: where layers hang together by next to nothing, further errors would outweigh what does.
+  coarse.diag =
+      exact_sum(excess, {-face[0][0], -face[1][0], -face[2][0]}, {-face[0][2], -face[1][2], -face[2][2]});
   if (excess > kHeldShare * coarse.diag) coarse.gates |= kHeld;
   coarse.ax = face[0][2], coarse.ay = face[1][2], coarse.az = face[2][2];
   return coarse;

@@ -5,6 +5,7 @@
 #include <cuda_runtime.h>
 
 #include <algorithm>
+#include <cstdint>
 #include <functional>
 #include <queue>
 #include <vector>
@@ -38,16 +39,24 @@ __global__ void __launch_bounds__(256)
   if (warp >= granules * nx) return;
   const int granule = warp / nx, i = warp - granule * nx;
   const int j = granule / tiles_z * P::granule_rows + lane / 4;
-  const int k = granule % tiles_z * P::granule_columns + 16 * (lane % 4);
+  const int k0 = granule % tiles_z * P::granule_columns, k = k0 + 16 * (lane % 4);
   const int row = i * ny + j;
   bool any = false;
-  if (j < ny) {
+  if (j < ny && k + 16 <= nz && reinterpret_cast<std::uintptr_t>(active + row * nz + k) % 16 == 0) {
+    const uint4 flags = __ldg(reinterpret_cast<const uint4*>(active + row * nz + k));
+    any = (flags.x | flags.y | flags.z | flags.w) != 0;
+  } else if (j < ny) {
     for (int e = k; e < min(k + 16, nz); ++e) any = any || active[row * nz + e];
   }
   any = __any_sync(0xffffffffu, any);
   if (lane == 0) live[warp] = any;
   if (any || j >= ny) return;
-  for (int e = k; e < min(k + 16, pitch); ++e) x0[row * pitch + e] = x1[row * pitch + e] = 0.0f;
+  // Four neighbouring lanes write 64 bytes of a row at a time; rows are padded to four entries.
+  for (int e = k0 + 4 * (lane % 4), q = 0; q < P::granule_columns / 16; ++q, e += 16) {
+    if (e >= pitch) break;
+    *reinterpret_cast<float4*>(x0 + row * pitch + e) = make_float4(0.0f, 0.0f, 0.0f, 0.0f);
+    *reinterpret_cast<float4*>(x1 + row * pitch + e) = make_float4(0.0f, 0.0f, 0.0f, 0.0f);
+  }
 }
 
 /// Runs of live planes of every tile column of `granules_per_tile` granules, widened to even bounds; gaps

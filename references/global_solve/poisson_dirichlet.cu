@@ -9,7 +9,7 @@
 //
 // Bound by the passes over the fine grid, which visit only the planes of their tiles with active cells: of
 // 256^3 cells, half of them active, 65 % of the planes on the way down and 66 % on the way up. NOTES.md has
-// the prediction.
+// what was measured.
 #include <cstdint>
 
 #include "cases/global_solve/poisson_dirichlet.hpp"
