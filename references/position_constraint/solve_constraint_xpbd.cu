@@ -11,15 +11,17 @@
 // Positions are held as input plus displacement: differences of inputs are exact or nearly so,
 // displacements of a centimetre keep their digits, and one addition at the end rounds.
 //
-// What bounds it (n = 1.05 million, m = 6.28 million, 12.56 million half-springs; all predicted): an
-// iteration moves 2 + 4 + 4 bytes a half-spring and 32 + 32 bytes a particle of device memory, and 43 MB
-// of halos out of the L2, 0.05 ms; and shared memory needs about 21 cycles a multiprocessor for the other
-// ends of 32 half-springs (random 16-byte reads meet in 2.6 of 8 groups of banks), with everything else 95
-// thousand cycles, 0.05 ms. Sorting moves 360 MB and gathers 12.56 million numbers out of the L2 (0.1 ms).
-// What pays: halos, so that no half-spring looks beyond shared memory and 16 bits name its other end; one
-// number of state, the rest length shifted by the multiplier; rows interleaved so that a warp reads 32
-// neighbours; a sort that writes each chunk as it is and lets the tile collect its runs (one pass over the
-// springs, no scan); whole sectors stored.
+// What bounds it (n = 1.05 million, m = 6.28 million, 12.56 million half-springs; counted): an
+// iteration moves 2 + 4 + 4 bytes a half-spring and 32 + 32 bytes a particle of device memory, and 43
+// MB of halos out of the L2, 0.05 ms; and shared memory needs about 21 cycles a multiprocessor for the
+// other ends of 32 half-springs (random 16-byte reads meet in 2.6 of 8 groups of banks), with
+// everything else 95 thousand cycles, 0.05 ms. NOTES.md has what was measured. Sorting moves 360 MB and
+// gathers 12.56 million numbers out of the L2 (0.1 ms).
+// What pays: halos, so that no half-spring looks beyond shared memory and 16 bits name its other end;
+// one number of state, the rest length shifted by the multiplier; rows interleaved so that a warp reads
+// 32 neighbours; particles copied to shared memory past the registers, all in flight together; a sort
+// that writes each chunk as it is and lets the tile collect its runs (one pass over the springs, no
+// scan); whole sectors stored.
 #include "cases/position_constraint/solve_constraint_xpbd.hpp"
 
 #include <climits>

@@ -211,7 +211,8 @@ template <class Record, int Threads, class Use>
 __device__ __forceinline__ void for_each_record(const Record* __restrict__ split,
                                                 const std::uint16_t* __restrict__ table, int chunks, int room,
                                                 int tiles, int tile, std::uint32_t* run, Use&& use) {
-  constexpr int lanes = 16, groups = Threads / lanes, together = 2, parts = 2;
+  // Runs have 16 records in the mean: 8 lanes go idle less than 16 would, and three parts hold most runs.
+  constexpr int lanes = 8, groups = Threads / lanes, parts = 3;
   const int tid = static_cast<int>(threadIdx.x), lane = tid % lanes;
   for (int c0 = 0; c0 < chunks; c0 += Threads) {
     __syncthreads();
@@ -225,64 +226,61 @@ __device__ __forceinline__ void for_each_record(const Record* __restrict__ split
     run[tid] = begin_and_length;
     __syncthreads();
     const int here = min(Threads, chunks - c0);
-    for (int r = tid / lanes; r < here; r += groups * together) {
-      Record record[together * parts];
-      int from[together], length[together];
+    for (int r = tid / lanes; r < here; r += groups) {
+      const std::uint32_t code = run[r];
+      const int length = static_cast<int>(code & 0xffffu);
+      const Record* const from = split + ((c0 + r) * room + static_cast<int>(code >> 16));
+      Record record[parts];
 #pragma unroll
-      for (int u = 0; u < together; ++u) {
-        const int c = r + u * groups;
-        const std::uint32_t code = c < here ? run[c] : 0u;
-        length[u] = static_cast<int>(code & 0xffffu);
-        from[u] = (c0 + c) * room + static_cast<int>(code >> 16);
-#pragma unroll
-        for (int part = 0; part < parts; ++part) {
-          const int k = lane + part * lanes;
-          if (k < length[u]) record[u * parts + part] = split[from[u] + k];
-        }
+      for (int part = 0; part < parts; ++part) {
+        if (lane + part * lanes < length) record[part] = from[lane + part * lanes];
       }
 #pragma unroll
-      for (int u = 0; u < together; ++u) {
-#pragma unroll
-        for (int part = 0; part < parts; ++part) {
-          if (lane + part * lanes < length[u]) use(record[u * parts + part]);
-        }
+      for (int part = 0; part < parts; ++part) {
+        if (lane + part * lanes < length) use(record[part]);
       }
-#pragma unroll
-      for (int u = 0; u < together; ++u) {
-        for (int k = lane + parts * lanes; k < length[u]; k += lanes) use(split[from[u] + k]);
-      }
+      for (int k = lane + parts * lanes; k < length; k += lanes) use(from[k]);
     }
   }
 }
 
-/// A set of particles in shared memory: double hashing, some tries. What finds no room is left out.
+/// A set of particles in shared memory, hashed by groups of 32 consecutive ones: neighbours in space are
+/// neighbours in number, so groups are few, the table is nearly empty, and a warp seldom tries a second slot.
+/// Double hashing, some tries; what finds no room is left out.
 template <int Slots>
 struct Halo {
   static_assert((Slots & (Slots - 1)) == 0);
   static constexpr int kTries = 32, kEmpty = -1;
-  int* key;              ///< (Slots)
-  std::uint16_t* place;  ///< (Slots): once numbered
+  int* key;                ///< (Slots): group, or kEmpty
+  std::uint32_t* members;  ///< (Slots): a bit a particle of the group
+  std::uint16_t* before;   ///< (Slots): members of the slots before; once numbered
 
   __device__ __forceinline__ void insert(int particle) {
-    const std::uint32_t hash = hash_of(particle);
+    const int group = particle >> 5;
+    const std::uint32_t hash = hash_of(group);
     for (int k = 0; k < kTries; ++k) {
-      const int there = atomicCAS(key + slot(hash, k), kEmpty, particle);
-      if (there == kEmpty || there == particle) return;
+      const int at = slot(hash, k), there = atomicCAS(key + at, kEmpty, group);
+      if (there == kEmpty || there == group) {
+        atomicOr(members + at, 1u << (particle & 31));
+        return;
+      }
     }
   }
-  __device__ __forceinline__ std::uint16_t find(int particle) const {
-    const std::uint32_t hash = hash_of(particle);
+  /// Number of a particle in the set, or -1.
+  __device__ __forceinline__ int find(int particle) const {
+    const int group = particle >> 5;
+    const std::uint32_t hash = hash_of(group);
     for (int k = 0; k < kTries; ++k) {
       const int at = slot(hash, k), there = key[at];
-      if (there == particle) return place[at];
+      if (there == group) return before[at] + __popc(members[at] & ((1u << (particle & 31)) - 1u));
       if (there == kEmpty) break;
     }
-    return kFar;
+    return -1;
   }
 
  private:
-  __device__ __forceinline__ static std::uint32_t hash_of(int particle) {
-    return static_cast<std::uint32_t>(particle) * 2654435769u;
+  __device__ __forceinline__ static std::uint32_t hash_of(int group) {
+    return static_cast<std::uint32_t>(group) * 2654435769u;
   }
   __device__ __forceinline__ static int slot(std::uint32_t hash, int k) {
     return static_cast<int>((hash >> 20) + static_cast<std::uint32_t>(k) * (hash >> 7 | 1u)) & (Slots - 1);
@@ -307,15 +305,15 @@ struct TileShape {
   static constexpr int kShift = Shift, kParticles = 1 << Shift, kLanes = Lanes, kHalo = Outside;
   static constexpr int kRows = 32 / Lanes, kSlices = kParticles / kRows;
   static constexpr int kHeld = kParticles + kHalo;
-  static constexpr int kSlots = 2048;  // of the hash table
-  static_assert(kHalo < kSlots && kHeld < kFar);
+  static constexpr int kSlots = 1024;  // of the hash table
+  static_assert(kHeld < kFar);
 };
 
 /// Shared memory of build_tiles, bytes. `capacity` is even.
 template <class Shape>
 constexpr std::size_t build_bytes(int capacity, int threads) {
   return (sizeof(float) + sizeof(std::uint16_t)) * static_cast<std::size_t>(capacity) +
-         2 * sizeof(int) * Shape::kParticles + (sizeof(int) + sizeof(std::uint16_t)) * Shape::kSlots +
+         2 * sizeof(int) * Shape::kParticles + (2 * sizeof(int) + sizeof(std::uint16_t)) * Shape::kSlots +
          sizeof(std::uint32_t) * static_cast<std::size_t>(threads);
 }
 
@@ -337,11 +335,15 @@ __global__ void __launch_bounds__(Threads)
   std::uint32_t* const run = reinterpret_cast<std::uint32_t*>(row + Shape::kParticles);
   Halo<Shape::kSlots> outside;
   outside.key = reinterpret_cast<int*>(run + Threads);
-  outside.place = reinterpret_cast<std::uint16_t*>(outside.key + Shape::kSlots);
+  outside.members = reinterpret_cast<std::uint32_t*>(outside.key + Shape::kSlots);
+  outside.before = reinterpret_cast<std::uint16_t*>(outside.members + Shape::kSlots);
   const int tid = static_cast<int>(threadIdx.x), tile = static_cast<int>(blockIdx.x);
   const int low = tile << Shape::kShift, particles = min(Shape::kParticles, n - low);
   for (int i = tid; i < Shape::kParticles; i += Threads) count[i] = 0;
-  for (int i = tid; i < Shape::kSlots; i += Threads) outside.key[i] = Halo<Shape::kSlots>::kEmpty;
+  for (int i = tid; i < Shape::kSlots; i += Threads) {
+    outside.key[i] = Halo<Shape::kSlots>::kEmpty;
+    outside.members[i] = 0;
+  }
   for_each_record<Record, Threads>(split, table, chunks, room, tiles, tile, run, [&](const Record& record) {
     atomicAdd(count + record.place(), 1);
     if (record.other() >> Shape::kShift != tile) outside.insert(record.other());
@@ -351,17 +353,18 @@ __global__ void __launch_bounds__(Threads)
   int mine = 0;
 #pragma unroll
   for (int k = 0; k < slots_a_thread; ++k) {
-    mine += outside.key[tid * slots_a_thread + k] != Halo<Shape::kSlots>::kEmpty ? 1 : 0;
+    mine += __popc(outside.members[tid * slots_a_thread + k]);
   }
   int before = sum_before<Threads>(mine, warp_sum[0]);
 #pragma unroll
   for (int k = 0; k < slots_a_thread; ++k) {
     const int at = tid * slots_a_thread + k;
-    if (outside.key[at] == Halo<Shape::kSlots>::kEmpty) continue;
-    const bool fits = before < Shape::kHalo;
-    outside.place[at] = fits ? static_cast<std::uint16_t>(Shape::kParticles + before) : kFar;
-    if (fits) out.halo[tile * Shape::kHalo + before] = outside.key[at];
-    ++before;
+    outside.before[at] = static_cast<std::uint16_t>(before);  // no more than 32 a slot
+    const int group = outside.key[at] * 32;
+    for (std::uint32_t rest = outside.members[at]; rest != 0; rest &= rest - 1, ++before) {
+      if (before < Shape::kHalo)
+        out.halo[tile * Shape::kHalo + before] = group + __ffs(static_cast<int>(rest)) - 1;
+    }
   }
   if (tid == Threads - 1) out.halo_count[tile] = min(before, Shape::kHalo);
   // Gives every slice its places.
@@ -408,10 +411,13 @@ __global__ void __launch_bounds__(Threads)
     const int i = record.place(), other = record.other();
     const int k = atomicSub(count + i, 1) - 1;
     const int at = row[i] % 2 ? row[i] / 2 + k : row[i] / 2 + k / lanes * 32 + k % lanes;
-    const std::uint16_t local = other >> Shape::kShift == tile
-                                    ? static_cast<std::uint16_t>(other & (Shape::kParticles - 1))
-                                    : outside.find(other);
-    if (local == kFar) out.far[base + at] = other;
+    auto local = static_cast<std::uint16_t>(other & (Shape::kParticles - 1));
+    if (other >> Shape::kShift != tile) {
+      const int place = outside.find(other);
+      const bool near = place >= 0 && place < Shape::kHalo;
+      local = near ? static_cast<std::uint16_t>(Shape::kParticles + place) : kFar;
+      if (!near) out.far[base + at] = other;
+    }
     if (fits) {
       rest_at[at] = record.rest;
       local_at[at] = local;
