@@ -18,10 +18,10 @@ namespace {
 
 #ifdef GPUPHYS_OTHER_BLOCKS
 // The paper's rows take the path without shared memory.
-struct Policy : lbm::RowPolicy<96, 64, 8> {};
+struct Policy : lbm::RowPolicy<64, 8> {};
 #else
-// Two of the paper's rows a block; 64 registers a thread: four rows an SM.
-struct Policy : lbm::RowPolicy<512, 448, 2> {};
+// Two of the paper's rows a block; 80 registers a thread: six rows an SM.
+struct Policy : lbm::RowPolicy<224, 3> {};
 #endif
 
 using Reference = lbm::CollisionThenStreaming<lbm::Lattice<19>, Policy>;

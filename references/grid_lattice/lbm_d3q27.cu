@@ -18,14 +18,10 @@ namespace {
 
 #ifdef GPUPHYS_OTHER_BLOCKS
 // The paper's rows take the path without shared memory.
-struct Policy : lbm::RowPolicy<96, 64, 8> {};
-#elif GPUPHYS_TRY == 1
-struct Policy : lbm::RowPolicy<256, 224, 3> {};
-#elif GPUPHYS_TRY == 2
-struct Policy : lbm::RowPolicy<256, 224, 4> {};
+struct Policy : lbm::RowPolicy<64, 8> {};
 #else
-// Two of the paper's rows a block; 72 registers a thread: four rows an SM.
-struct Policy : lbm::RowPolicy<448, 448, 2> {};
+// Two of the paper's rows a block; 128 registers a thread: four rows an SM.
+struct Policy : lbm::RowPolicy<224, 2> {};
 #endif
 
 using Reference = lbm::CollisionThenStreaming<lbm::Lattice<27>, Policy>;

@@ -17,21 +17,11 @@ namespace {
 
 #ifdef GPUPHYS_OTHER_BLOCKS
 struct Policy : lbm::CopyPolicy<64, 1> {};
-#elif GPUPHYS_TRY == 1
-struct Policy : lbm::RowPolicy<512, 448, 2> {};
 #else
 struct Policy : lbm::CopyPolicy<256, 4> {};
 #endif
 
-#if GPUPHYS_TRY == 1
-struct Reference : lbm::Stateless {
-  void compute(const Inputs& in, const Outputs<float>& out) {
-    lbm::launch_step<lbm::Lattice<19>, Policy>(in.f, out.f.data, lbm::NoCollision<lbm::Lattice<19>>{});
-  }
-};
-#else
 using Reference = lbm::Streaming<lbm::Lattice<19>, Policy>;
-#endif
 
 }  // namespace
 }  // namespace gpuphys::stream_d3q19

@@ -19,10 +19,6 @@ namespace {
 
 #ifdef GPUPHYS_OTHER_BLOCKS
 struct Policy : lbm::LinePolicy<96, 1, 4> {};
-#elif GPUPHYS_TRY == 1
-struct Policy : lbm::LinePolicy<256, 1, 4> {};
-#elif GPUPHYS_TRY == 2
-struct Policy : lbm::LinePolicy<128, 4, 4> {};
 #else
 struct Policy : lbm::LinePolicy<256, 2, 3> {};
 #endif
