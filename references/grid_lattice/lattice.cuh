@@ -440,6 +440,13 @@ struct Stateless {
   void allocate(const auto& in, const auto&) { make_grid(in.f); }
 };
 
+/// What is best for streaming in both lattices.
+#ifdef GPUPHYS_OTHER_BLOCKS
+using StreamingPolicy = CopyPolicy<64, 1>;
+#else
+using StreamingPolicy = CopyPolicy<256, 4>;
+#endif
+
 /// Reference of a task that streams.
 template <class L, class Policy>
 struct Streaming : Stateless {

@@ -15,12 +15,7 @@
 namespace gpuphys::stream_d3q19 {
 namespace {
 
-#ifdef GPUPHYS_OTHER_BLOCKS
-struct Policy : lbm::CopyPolicy<64, 1> {};
-#else
-struct Policy : lbm::CopyPolicy<256, 4> {};
-#endif
-
+struct Policy : lbm::StreamingPolicy {};
 using Reference = lbm::Streaming<lbm::Lattice<19>, Policy>;
 
 }  // namespace
