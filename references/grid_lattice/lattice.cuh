@@ -4,11 +4,13 @@
 //
 // Streaming by +-1 along z, the contiguous index, would shift a warp's store by one element: five sectors
 // instead of four, two of them partial. Here a block owns whole rows along z, so that the shift (with its
-// periodic wrap) is a permutation inside the block: populations that change z pass through shared memory and
-// every store is as coalesced and aligned as the load. The shifts along x and y only choose another row.
+// periodic wrap) is a permutation inside the block: a thread keeps two neighbouring cells, what leaves them
+// along z passes through shared memory, and every store is as coalesced and aligned as the load. The shifts
+// along x and y only choose another row.
 // Streaming alone needs no whole cells: a thread shifts four neighbours in registers.
 #pragma once
 
+#include <algorithm>
 #include <cstdint>
 #include <stdexcept>
 #include <type_traits>
@@ -171,88 +173,6 @@ __device__ __forceinline__ int target_row(const Grid& grid, int i, int j) {
   return (neighbour<L::c(q, 0)>(i, grid.nx) * grid.ny + neighbour<L::c(q, 1)>(j, grid.ny)) * grid.nz;
 }
 
-/// Blocks of whole rows along z, for a step. Evict-first loads and stores gained nothing and made the time
-/// depend on where the arrays happen to lie: there are no such options.
-template <int LongestRow, int Threads, int BlocksPerSm>
-struct RowPolicy {
-  static_assert(Threads <= LongestRow && LongestRow % 32 == 0);
-  static constexpr int longest_row = LongestRow;  ///< that a block owns; also sizes shared memory
-  static constexpr int threads = Threads;  ///< what short rows or the cells of long ones are gathered to
-  static constexpr int blocks_per_sm =
-      BlocksPerSm;  ///< of longest_row that must fit an SM (limits registers)
-};
-
-/// All populations of a cell.
-template <class L>
-__device__ __forceinline__ void load_cell(const float* __restrict__ f, const Grid& grid, int cell,
-                                          float (&populations)[L::Q]) {
-  const float* from = f + cell;
-  unrolled<0, L::Q>([&](auto direction) {
-    constexpr int q = decltype(direction)::value;
-    populations[q] = __ldg(from + q * grid.plane);
-  });
-}
-
-/// One step where a block owns whole rows: threadIdx.x is z, blockDim.x = nz; threadIdx.y is one of
-/// blockDim.y neighbouring rows along y; blockIdx.y is x. Threads beyond the last row repeat it and store
-/// nothing.
-template <class L, class Policy, class Cell>
-__global__ void __launch_bounds__(Policy::longest_row, Policy::blocks_per_sm)
-    step_rows(const float* __restrict__ f, float* __restrict__ out, const __grid_constant__ Grid grid,
-              const __grid_constant__ Cell change) {
-  __shared__ float shifted[L::slots][Policy::longest_row];
-  const int k = static_cast<int>(threadIdx.x), i = static_cast<int>(blockIdx.y);
-  const int row = static_cast<int>(blockIdx.x * blockDim.y + threadIdx.y);
-  const int j = min(row, grid.ny - 1);
-  const int first = static_cast<int>(threadIdx.y * blockDim.x);  // of this row in shared memory
-
-  float populations[L::Q];
-  load_cell<L>(f, grid, (i * grid.ny + j) * grid.nz + k, populations);
-  change(populations);
-
-  unrolled<0, L::Q>([&](auto direction) {
-    constexpr int q = decltype(direction)::value;
-    if constexpr (L::c(q, 2) != 0)
-      shifted[L::slot(q)][first + neighbour<L::c(q, 2)>(k, grid.nz)] = populations[q];
-  });
-  // Those that stay at their z need not wait for the other warps.
-  if (row < grid.ny) {
-    unrolled<0, L::Q>([&](auto direction) {
-      constexpr int q = decltype(direction)::value;
-      if constexpr (L::c(q, 2) == 0)
-        out[q * grid.plane + (target_row<L, q>(grid, i, j) + k)] = populations[q];
-    });
-  }
-  __syncthreads();
-  if (row < grid.ny) {
-    unrolled<0, L::Q>([&](auto direction) {
-      constexpr int q = decltype(direction)::value;
-      if constexpr (L::c(q, 2) != 0) {
-        out[q * grid.plane + (target_row<L, q>(grid, i, j) + k)] = shifted[L::slot(q)][first + k];
-      }
-    });
-  }
-}
-
-/// One step with a thread a cell in any order, for rows that no block can own: stores are not aligned.
-template <class L, class Policy, class Cell>
-__global__ void __launch_bounds__(Policy::threads)
-    step_cells(const float* __restrict__ f, float* __restrict__ out, const __grid_constant__ Grid grid,
-               const __grid_constant__ Cell change) {
-  const unsigned cell = blockIdx.x * static_cast<unsigned>(Policy::threads) + threadIdx.x;
-  if (cell >= grid.plane) return;
-  const int rows = static_cast<int>(cell) / grid.nz, k = static_cast<int>(cell) - rows * grid.nz;
-  const int i = rows / grid.ny, j = rows - i * grid.ny;
-  float populations[L::Q];
-  load_cell<L>(f, grid, static_cast<int>(cell), populations);
-  change(populations);
-  unrolled<0, L::Q>([&](auto direction) {
-    constexpr int q = decltype(direction)::value;
-    const int to = target_row<L, q>(grid, i, j) + neighbour<L::c(q, 2)>(k, grid.nz);
-    out[q * grid.plane + to] = populations[q];
-  });
-}
-
 /// Reads or writes N neighbouring floats, 1, 2 or 4, in one access.
 template <int N>
 __device__ __forceinline__ void load_pack(const float* from, float (&values)[N]) {
@@ -286,6 +206,98 @@ bool in_packs(const void* f, const void* out, std::int64_t floats) {
   return floats % N == 0 && addresses % (N * sizeof(float)) == 0;
 }
 
+/// Blocks of whole rows along z, for a step. Evict-first loads and stores gained nothing and made the time
+/// depend on where the arrays happen to lie: there are no such options.
+template <int Threads, int BlocksPerSm>
+struct RowPolicy {
+  static constexpr int threads = Threads;            ///< a block: as many rows as they can own
+  static constexpr int blocks_per_sm = BlocksPerSm;  ///< that must fit an SM (limits registers)
+};
+
+/// All populations of N neighbouring cells along z.
+template <class L, int N>
+__device__ __forceinline__ void load_cells(const float* __restrict__ from, const std::int64_t plane,
+                                           float (&populations)[N][L::Q]) {
+  unrolled<0, L::Q>([&](auto direction) {
+    constexpr int q = decltype(direction)::value;
+    float pack[N];
+    load_pack(from + q * plane, pack);
+#pragma unroll
+    for (int n = 0; n < N; ++n) populations[n][q] = pack[n];
+  });
+}
+
+/// One step where a block owns whole rows: thread threadIdx.x of blockDim.x = nz / N has N neighbouring cells
+/// of its row; threadIdx.y is one of blockDim.y neighbouring rows along y; blockIdx.y is x. Threads beyond
+/// the last row repeat it and store nothing.
+template <class L, class Policy, int N, class Cell>
+__global__ void __launch_bounds__(Policy::threads, Policy::blocks_per_sm)
+    step_rows(const float* __restrict__ f, float* __restrict__ out, const __grid_constant__ Grid grid,
+              const __grid_constant__ Cell change) {
+  __shared__ float passed[L::slots][Policy::threads];
+  const int t = static_cast<int>(threadIdx.x), k = N * t, i = static_cast<int>(blockIdx.y);
+  const int row = static_cast<int>(blockIdx.x * blockDim.y + threadIdx.y);
+  const int j = min(row, grid.ny - 1);
+  const int first = static_cast<int>(threadIdx.y * blockDim.x);  // of this row in shared memory
+
+  float populations[N][L::Q];
+  load_cells<L, N>(f + ((i * grid.ny + j) * grid.nz + k), grid.plane, populations);
+#pragma unroll
+  for (int n = 0; n < N; ++n) change(populations[n]);
+
+  // Of the populations that change z, one leaves a thread's cells.
+  unrolled<0, L::Q>([&](auto direction) {
+    constexpr int q = decltype(direction)::value, cz = L::c(q, 2);
+    if constexpr (cz != 0)
+      passed[L::slot(q)][first + neighbour<cz>(t, static_cast<int>(blockDim.x))] =
+          populations[cz > 0 ? N - 1 : 0][q];
+  });
+  // Those that stay at their z need not wait for the other warps.
+  if (row < grid.ny) {
+    unrolled<0, L::Q>([&](auto direction) {
+      constexpr int q = decltype(direction)::value;
+      if constexpr (L::c(q, 2) == 0) {
+        float pack[N];
+#pragma unroll
+        for (int n = 0; n < N; ++n) pack[n] = populations[n][q];
+        store_pack(out + q * grid.plane + (target_row<L, q>(grid, i, j) + k), pack);
+      }
+    });
+  }
+  __syncthreads();
+  if (row < grid.ny) {
+    unrolled<0, L::Q>([&](auto direction) {
+      constexpr int q = decltype(direction)::value, cz = L::c(q, 2);
+      if constexpr (cz != 0) {
+        float pack[N];
+        pack[cz > 0 ? 0 : N - 1] = passed[L::slot(q)][first + t];
+#pragma unroll
+        for (int n = 1; n < N; ++n) pack[cz > 0 ? n : n - 1] = populations[cz > 0 ? n - 1 : n][q];
+        store_pack(out + q * grid.plane + (target_row<L, q>(grid, i, j) + k), pack);
+      }
+    });
+  }
+}
+
+/// One step with a thread a cell in any order, for rows that no block can own: stores are not aligned.
+template <class L, class Policy, class Cell>
+__global__ void __launch_bounds__(Policy::threads)
+    step_cells(const float* __restrict__ f, float* __restrict__ out, const __grid_constant__ Grid grid,
+               const __grid_constant__ Cell change) {
+  const unsigned cell = blockIdx.x * static_cast<unsigned>(Policy::threads) + threadIdx.x;
+  if (cell >= grid.plane) return;
+  const int rows = static_cast<int>(cell) / grid.nz, k = static_cast<int>(cell) - rows * grid.nz;
+  const int i = rows / grid.ny, j = rows - i * grid.ny;
+  float populations[1][L::Q];
+  load_cells<L, 1>(f + cell, grid.plane, populations);
+  change(populations[0]);
+  unrolled<0, L::Q>([&](auto direction) {
+    constexpr int q = decltype(direction)::value;
+    const int to = target_row<L, q>(grid, i, j) + neighbour<L::c(q, 2)>(k, grid.nz);
+    out[q * grid.plane + to] = populations[0][q];
+  });
+}
+
 /// A line of cells, for a collision.
 template <int Threads, int Cells, int BlocksPerSm>
 struct LinePolicy {
@@ -302,13 +314,7 @@ __global__ void __launch_bounds__(Policy::threads, Policy::blocks_per_sm)
   const std::int64_t first = N * (blockIdx.x * std::int64_t{Policy::threads} + threadIdx.x);
   if (first >= plane) return;
   float populations[N][L::Q];
-  unrolled<0, L::Q>([&](auto direction) {
-    constexpr int q = decltype(direction)::value;
-    float pack[N];
-    load_pack(f + q * plane + first, pack);
-#pragma unroll
-    for (int n = 0; n < N; ++n) populations[n][q] = pack[n];
-  });
+  load_cells<L, N>(f + first, plane, populations);
 #pragma unroll
   for (int n = 0; n < N; ++n) change(populations[n]);
   unrolled<0, L::Q>([&](auto direction) {
@@ -343,7 +349,7 @@ struct CopyPolicy {
   static constexpr int threads = Threads;  ///< a block
   static constexpr int pieces = Pieces;    ///< of four populations that a thread moves
   /// For rows that are not whole pieces.
-  using Rows = RowPolicy<Threads, Threads, 1024 / Threads>;
+  using Rows = RowPolicy<Threads, 512 / Threads>;
 };
 
 /// Reads what moves to cells k ... k+3 of a row of nz cells along z, for velocity C along z. The fourth
@@ -395,12 +401,18 @@ __global__ void __launch_bounds__(Policy::threads)
 template <class L, class Policy, class Cell>
 void launch_step(const View<const float, 4>& f, float* out, const Cell& change) {
   const Grid grid = make_grid(f);
-  if (grid.nz <= Policy::longest_row && grid.nx <= 65535) {
-    int rows = Policy::threads / grid.nz;
-    rows = rows < 1 ? 1 : rows > grid.ny ? grid.ny : rows;
-    const dim3 block(static_cast<unsigned>(grid.nz), static_cast<unsigned>(rows));
+  const auto launch_rows = [&](auto cells) {
+    constexpr int N = decltype(cells)::value;
+    const int per_row = grid.nz / N, rows = std::min(Policy::threads / per_row, grid.ny);
+    const dim3 block(static_cast<unsigned>(per_row), static_cast<unsigned>(rows));
     const dim3 blocks(static_cast<unsigned>((grid.ny + rows - 1) / rows), static_cast<unsigned>(grid.nx));
-    step_rows<L, Policy, Cell><<<blocks, block>>>(f.data, out, grid, change);
+    step_rows<L, Policy, N, Cell><<<blocks, block>>>(f.data, out, grid, change);
+  };
+  const bool owned = grid.nx <= 65535;
+  if (owned && grid.nz <= 2 * Policy::threads && in_packs<2>(f.data, out, grid.nz)) {
+    launch_rows(std::integral_constant<int, 2>{});
+  } else if (owned && grid.nz <= Policy::threads) {
+    launch_rows(std::integral_constant<int, 1>{});
   } else {
     const std::int64_t blocks = (grid.plane + Policy::threads - 1) / Policy::threads;
     step_cells<L, Policy, Cell>
@@ -427,6 +439,13 @@ void launch_streaming(const View<const float, 4>& f, float* out) {
 struct Stateless {
   void allocate(const auto& in, const auto&) { make_grid(in.f); }
 };
+
+/// What is best for streaming in both lattices.
+#ifdef GPUPHYS_OTHER_BLOCKS
+using StreamingPolicy = CopyPolicy<64, 1>;
+#else
+using StreamingPolicy = CopyPolicy<256, 4>;
+#endif
 
 /// Reference of a task that streams.
 template <class L, class Policy>
