@@ -9,8 +9,6 @@
 // what is kept of a spring is this shifted rest length, one number to read and one to write.
 #pragma once
 
-#include <cuda_pipeline.h>
-
 #include <cstdint>
 
 #include "references/position_constraint/spring_tiles.cuh"
@@ -86,36 +84,15 @@ __global__ void __launch_bounds__(Threads, BlocksAtOnce)
   const int tile = static_cast<int>(backward ? gridDim.x - 1 - blockIdx.x : blockIdx.x);
   const int low = tile << Shape::kShift, particles = min(Shape::kParticles, n - low);
   const float4* const part = reinterpret_cast<const float4*>(now);
-  // Copies past the registers: all of a thread's are on their way together. Two threads fetch a particle, a
-  // whole sector in one access; of the halo the numbers come first, in one go too.
-  constexpr int own_turns = (2 * Shape::kParticles + Threads - 1) / Threads;
-  constexpr int halo_turns = (2 * Shape::kHalo + Threads - 1) / Threads;
-  static_assert(Threads % 2 == 0);
-  float4* const half = tid & 1 ? step : base;
+#pragma unroll 4
+  for (int k = tid; k < 2 * particles; k += Threads) (k & 1 ? step : base)[k / 2] = part[2 * low + k];
+  for (int k = tid; k < Shape::kSlices; k += Threads) slice[k] = springs.slice[tile * Shape::kSlices + k];
+  // Two threads fetch a particle of the halo, a whole sector in one access.
   const int outside = springs.halo_count[tile];
   const std::int32_t* const halo = springs.halo + tile * Shape::kHalo;
-#pragma unroll
-  for (int u = 0; u < own_turns; ++u) {
-    const int k = tid + u * Threads;
-    if (k < 2 * particles) __pipeline_memcpy_async(half + k / 2, part + 2 * low + k, sizeof(float4));
-  }
-  int number[halo_turns];
-#pragma unroll
-  for (int u = 0; u < halo_turns; ++u) {
-    const int k = tid + u * Threads;
-    number[u] = k < 2 * outside ? halo[k / 2] : 0;
-  }
-#pragma unroll
-  for (int u = 0; u < halo_turns; ++u) {
-    const int k = tid + u * Threads;
-    if (k < 2 * outside) {
-      __pipeline_memcpy_async(half + Shape::kParticles + k / 2, part + 2 * number[u] + (k & 1),
-                              sizeof(float4));
-    }
-  }
-  __pipeline_commit();
-  for (int k = tid; k < Shape::kSlices; k += Threads) slice[k] = springs.slice[tile * Shape::kSlices + k];
-  __pipeline_wait_prior(0);
+#pragma unroll 4
+  for (int k = tid; k < 2 * outside; k += Threads)
+    (k & 1 ? step : base)[Shape::kParticles + k / 2] = part[2 * halo[k / 2] + (k & 1)];
   __syncthreads();
 
   const float* const from = first ? springs.rest : shifted;
