@@ -63,11 +63,7 @@ struct Policy {
   static constexpr int edge_blocks =
       132 * edge_blocks_of_sm;              // at most, each thread then takes several edges
   static constexpr int large_chunk = 1024;  // candidates of a large box that a warp takes at a time
-#ifdef GPUPHYS_CCD_EE_RESIDENT_WARPS
-  static constexpr int resident_warps = GPUPHYS_CCD_EE_RESIDENT_WARPS;
-#else
   static constexpr int resident_warps = 24;  // of `impacts` on an SM: 80 registers a thread
-#endif
   static constexpr int impact_threads = 32 * warps;
   static constexpr int resident_blocks = 132 * resident_warps / warps;
 };
