@@ -45,7 +45,7 @@ using particle_grid::WorkItem;
 
 struct Policy {
   static constexpr int mark_threads = 256;
-  static constexpr int mark_stride = 16;  // one row of 32 particles in so many
+  static constexpr int mark_stride = 32;  // one row of 32 particles in so many
   static constexpr int plan_threads = 256;
 #ifdef GPUPHYS_OTHER_BLOCKS
   static constexpr int count_threads = 512;

@@ -315,7 +315,7 @@ __global__ void __launch_bounds__(Threads)
   if (marked) index = bins.below[tile / 32] + __popc(bins.marks[tile / 32] & ((1u << (tile % 32)) - 1u));
   const std::size_t row = static_cast<std::size_t>(bins.indexed);
   if (index < bins.indexed) {
-#pragma unroll 12
+#pragma unroll 33
     for (int part = 0; part < bins.parts; ++part) count += bins.rows[part * row + index];
   }
   const int pieces = count / piece + (count % piece != 0);
@@ -348,12 +348,20 @@ __global__ void __launch_bounds__(Threads)
     const int first_item = reserved[1] + static_cast<int>(place >> 32);
     bins.next[tile] = start;
     if (index < bins.indexed) {
+      // Loads of several parts before the stores: for all the compiler knows, one might feed the other.
+      constexpr int batch = 22;
       int slot = start;
-#pragma unroll 12
-      for (int part = 0; part < bins.parts; ++part) {
-        const int in_part = bins.rows[part * row + index];
-        bins.rows[part * row + index] = slot;
-        slot += in_part;
+      for (int first_part = 0; first_part < bins.parts; first_part += batch) {
+        const int last = min(batch, bins.parts - first_part);
+        int* const rows = bins.rows + first_part * row + index;
+        int in_part[batch];
+#pragma unroll
+        for (int k = 0; k < batch; ++k) in_part[k] = k < last ? rows[k * row] : 0;
+#pragma unroll
+        for (int k = 0; k < batch; ++k) {
+          if (k < last) rows[k * row] = slot;
+          slot += in_part[k];
+        }
       }
     }
     // Pieces of equal length within one: no block is left with a stub.
