@@ -1,25 +1,26 @@
 // ccd_ee in FP32: the time of the first impact of every edge with another one.
 //
-// 1. pack: both positions of a vertex in one 32-byte sector, written by two threads; the scene's box, and the
-//    mean extent of a sample of the edges' swept boxes. With them the grid is known before any pass over
-//    edges.
-// 2. count: one thread an edge; fetches the ends once, keeps the box in the order of the edges, finds its
-//    cell and its rank there.
+// 1. pack: both positions of a vertex in one 32-byte sector, written by two threads; the scene's box; and of
+//    a sample of the edges, the mean extents of what they sweep, along the axes and along six diagonals. With
+//    them the grid is known before any pass over edges, and the diagonal along which boxes are thinnest.
+// 2. count: one thread an edge; fetches the ends once, keeps the box (corner, extents and the interval along
+//    that diagonal: 20 bytes) in the order of the edges, finds its cell and its rank there.
 //    A scan turns the counts into the cells' starts.
-// 3. place: two threads an edge; its box with the two vertices goes to its place as one whole sector.
-// 4. impacts: a warp takes tiles of 32 places in a row. It walks the cells within reach of them, reads 32
-//    candidates at a time, one a lane, and keeps in shared memory those that overlap the box around the tile.
-//    32 of these are compared with the boxes of all lanes, without a vote or a branch; the hits of a lane are
-//    the bits of a mask. Pairs are met once, from the lower place. Those whose boxes overlap and that share
-//    no vertex go to a queue of the warp and are examined 32 at a time: a cubic whose Bernstein coefficients
-//    have one sign is dropped, the rest goes to a second queue, from which 32 at a time are bisected. Both
-//    outlive the tile. So the long instruction streams run with full warps although few candidates get that
-//    far.
+// 3. place: two threads an edge; box, vertices and number of the edge go to its place as one whole sector.
+// 4. impacts: resident warps take tiles of 32 places in a row, one edge a lane, until none is left. A warp
+//    walks the cells within reach of its tile and reads 32 candidates at a time, one a lane, the next ones
+//    while it works on these. Those that overlap the box around the tile go to shared memory, rounded to the
+//    scale of that box: four lower ends in one word, four upper ones in another. 32 of them are compared with
+//    the boxes of all lanes without a vote or a branch, at two subtractions and one test a box; the hits of a
+//    lane are the bits of a mask. Pairs are met once, from the lower place. Those that overlap and share no
+//    vertex go to a queue of the warp, from which 32 at a time are bisected. It outlives the tile, so the
+//    long instruction stream runs with full warps although few candidates get that far.
 //
 // What bounds it: instructions of `impacts`, and random sectors from L2 in `count` and `place`. Of the
-// paper's public input 9.1 M pairs of boxes overlap, 6.1 M of them of edges with a vertex in common; 3.0 M
-// are examined, 1.3 M have a cubic that may change its sign, 0.39 M events are found (counted on the host).
-// references/collision_query/NOTES.md has the predictions stage by stage and what was measured.
+// paper's public input 9.1 M pairs of boxes overlap, 6.1 M of them of edges with a vertex in common. The
+// diagonal leaves 0.6 M of the other 3.0 M, the coarse scale of the tile makes that 0.7 M; 0.39 M have an
+// event (counted on the host). references/collision_query/NOTES.md has the predictions stage by stage and
+// what was measured.
 #include <algorithm>
 #include <cstddef>
 #include <cstdint>
@@ -34,7 +35,9 @@
 namespace gpuphys::ccd_ee {
 namespace {
 
+using collision::CompactBox;
 using collision::Cubic;
+using collision::Diagonal;
 using collision::Grid;
 using collision::Moving;
 using collision::SceneSums;
@@ -52,20 +55,16 @@ struct Policy {
   static constexpr int edge_threads = 256;
   static constexpr int warps = 4;
   // Fine along x, where a warp reads a range of cells; along y and z smaller cells mean more, shorter ranges.
-  static constexpr float cell_over_extent[3] = {0.5f, 1.4f, 2.0f};
-  static constexpr int sampled_edges = 65536;  // for the mean extent
+  static constexpr float cell_over_extent[3] = {0.35f, 1.4f, 2.5f};
+  static constexpr int sampled_edges = 65536;  // for the mean extents
   static constexpr float large_over_extent = 4.0f;
 #endif
-  static constexpr int edge_blocks = 132 * 8;  // at most, each thread then takes several edges
-  static constexpr int large_chunk = 1024;     // candidates of a large box that a warp takes at a time
-#ifdef GPUPHYS_CCD_EE_RESIDENT_WARPS
-  static constexpr int resident_warps = GPUPHYS_CCD_EE_RESIDENT_WARPS;
-#else
+  static constexpr int edge_blocks_of_sm = 2048 / edge_threads;
+  static constexpr int edge_blocks =
+      132 * edge_blocks_of_sm;              // at most, each thread then takes several edges
+  static constexpr int large_chunk = 1024;  // candidates of a large box that a warp takes at a time
   static constexpr int resident_warps = 24;  // of `impacts` on an SM: 80 registers a thread
-#endif
   static constexpr int impact_threads = 32 * warps;
-  // Of 32 places, that a warp takes on average: more leave fewer partial batches, fewer fill the SMs evenly.
-  static constexpr int tiles_of_warp = 4;
   static constexpr int resident_blocks = 132 * resident_warps / warps;
 };
 
@@ -93,19 +92,25 @@ __device__ __forceinline__ EdgeMotion motion_of(const Mesh& mesh, int2 ends) {
           position(mesh.x1, ends.y)};
 }
 
-__device__ __forceinline__ SweptBox box_of(const EdgeMotion& e) {
-  return collision::box_of(e.a0, e.b0, e.a1, e.b1);
+__device__ __forceinline__ CompactBox box_of(const Diagonal& diagonal, const EdgeMotion& e) {
+  return collision::compact_box(diagonal, e.a0, e.b0, e.a1, e.b1);
 }
+
+// Sums and the number of tiles taken stand before the counts, so that one memset clears all. The alignment
+// keeps that of the counts.
+struct alignas(256) Head {
+  SceneSums sums;
+  int tiles_taken;
+};
 
 // What passes between the kernels.
 struct Scratch {
-  SceneSums* sums;
-  std::int32_t* starts;        // per cell: the count, after the scan the first place; one more for the large
-  float4* vertices;            // per vertex: two, its positions at both times; one 32-byte sector
-  float4* box_of_edge;         // [2][m] lower corners and first vertices, upper corners and second ones
-  int2* cell_and_rank;         // per edge
-  std::int32_t* order;         // per place: the edge
-  float4* __restrict__ boxes;  // per place: two, lower and upper corner with the two vertices
+  Head* head;
+  std::int32_t* starts;  // per cell: the count, after the scan the first place; one more for the large
+  float4* vertices;      // per vertex: two, its positions at both times; one 32-byte sector
+  float4* box_of_edge;   // [2][m] halves of records, in the order of the edges
+  int2* cell_and_rank;   // per edge
+  float4* __restrict__ records;  // per place: two. One sector: box, vertices and number of the edge
   int cell_capacity;
   int m;  // edges
 };
@@ -128,11 +133,12 @@ __device__ __forceinline__ collision::GridShape grid_shape() {
 }
 
 // Packs the vertices, two threads a vertex, whose box is the scene's; and samples the extents of edges.
-__global__ void __launch_bounds__(Policy::edge_threads) pack(Mesh mesh, Scratch s) {
+__global__ void __launch_bounds__(Policy::edge_threads, Policy::edge_blocks_of_sm)
+    pack(Mesh mesh, Scratch s) {
+  constexpr int warps = Policy::edge_threads / 32;
   __shared__ unsigned codes[6];
-  __shared__ float extents;
+  __shared__ float warp_extents[warps][collision::kExtents];
   if (threadIdx.x < 6) codes[threadIdx.x] = 0;
-  if (threadIdx.x == 0) extents = 0.0f;
   __syncthreads();
   unsigned low[3] = {0, 0, 0}, high[3] = {0, 0, 0};
   const auto extend = [&](int d, float x) {
@@ -141,13 +147,19 @@ __global__ void __launch_bounds__(Policy::edge_threads) pack(Mesh mesh, Scratch 
   };
   const int thread = static_cast<int>(blockIdx.x * blockDim.x + threadIdx.x);
   const int stride = static_cast<int>(gridDim.x * blockDim.x);
-  float extent = 0.0f;
+  float extents[collision::kExtents] = {};
   const int samples = samples_of(mesh.m), step = mesh.m / max(samples, 1);
   for (int k = thread; k < samples; k += stride) {
     // One edge of each `step`, not always the same one of them: edges may come in a pattern.
     const int e =
         k * step + static_cast<int>(static_cast<unsigned>(k) * 2654435769u % static_cast<unsigned>(step));
-    extent += box_of(motion_of(mesh, mesh.edges[e])).extent();
+    const EdgeMotion sample = motion_of(mesh, mesh.edges[e]);
+    collision::add_extents(extents, sample.a0, sample.b0, sample.a1, sample.b1);
+  }
+#pragma unroll
+  for (int k = 0; k < collision::kExtents; ++k) {
+    const float sum = collision::warp_sum(extents[k]);
+    if (threadIdx.x % 32 == 0) warp_extents[threadIdx.x / 32][k] = sum;
   }
   for (std::int64_t t = thread; t < 2 * static_cast<std::int64_t>(mesh.n); t += stride) {
     const float* p0 = mesh.x0 + 3 * (t / 2);
@@ -166,7 +178,6 @@ __global__ void __launch_bounds__(Policy::edge_threads) pack(Mesh mesh, Scratch 
     }
     s.vertices[t] = half;
   }
-  extent = collision::warp_sum(extent);
   for (int d = 0; d < 3; ++d) {
     low[d] = collision::warp_max(low[d]);
     high[d] = collision::warp_max(high[d]);
@@ -176,32 +187,40 @@ __global__ void __launch_bounds__(Policy::edge_threads) pack(Mesh mesh, Scratch 
       atomicMax(&codes[d], low[d]);
       atomicMax(&codes[3 + d], high[d]);
     }
-    atomicAdd(&extents, extent);
   }
   __syncthreads();
-  if (threadIdx.x < 3) atomicMax(&s.sums->low_code[threadIdx.x], codes[threadIdx.x]);
-  if (threadIdx.x >= 3 && threadIdx.x < 6) atomicMax(&s.sums->high_code[threadIdx.x - 3], codes[threadIdx.x]);
-  if (threadIdx.x == 6 && extents > 0.0f) atomicAdd(&s.sums->extent_sum, extents);
+  SceneSums& sums = s.head->sums;
+  if (threadIdx.x < 3) atomicMax(&sums.low_code[threadIdx.x], codes[threadIdx.x]);
+  if (threadIdx.x >= 3 && threadIdx.x < 6) atomicMax(&sums.high_code[threadIdx.x - 3], codes[threadIdx.x]);
+  if (threadIdx.x >= 32 && threadIdx.x < 32 + collision::kExtents) {
+    const int k = static_cast<int>(threadIdx.x) - 32;
+    float sum = 0.0f;
+    for (int w = 0; w < warps; ++w) sum += warp_extents[w][k];
+    if (sum > 0.0f) atomicAdd(&sums.extents[k], sum);
+  }
 }
 
 // Boxes in the order of the edges, each one's cell and its rank there.
-__global__ void __launch_bounds__(Policy::edge_threads) count(Mesh mesh, Scratch s, float* toi) {
+__global__ void __launch_bounds__(Policy::edge_threads, Policy::edge_blocks_of_sm)
+    count(Mesh mesh, Scratch s, float* toi) {
   __shared__ Grid grid;
   __shared__ unsigned codes[3];
   if (threadIdx.x < 3) codes[threadIdx.x] = 0;
   if (threadIdx.x == 0)
-    grid = collision::make_grid(*s.sums, samples_of(mesh.m), s.cell_capacity, grid_shape());
+    grid = collision::make_grid(s.head->sums, samples_of(mesh.m), s.cell_capacity, grid_shape());
   __syncthreads();
   unsigned reach[3] = {0, 0, 0};
   const int stride = static_cast<int>(gridDim.x * blockDim.x);
   for (int e = static_cast<int>(blockIdx.x * blockDim.x + threadIdx.x); e < mesh.m; e += stride) {
     const int2 ends = mesh.edges[e];
-    const SweptBox box = box_of(motion_of(s, ends));
+    const CompactBox kept = box_of(grid.diagonal, motion_of(s, ends));
+    const SweptBox box = collision::expand(grid.diagonal, kept);
     const int cell = collision::cell_of(grid, box, s.cell_capacity);
     s.cell_and_rank[e] = {cell, atomicAdd(&s.starts[cell], 1)};
-    s.box_of_edge[e] = {box.low[0], box.low[1], box.low[2], __int_as_float(ends.x)};
-    s.box_of_edge[static_cast<std::ptrdiff_t>(s.m) + e] = {box.high[0], box.high[1], box.high[2],
-                                                           __int_as_float(ends.y)};
+    s.box_of_edge[e] = {kept.low[0], kept.low[1], kept.low[2], __int_as_float(ends.x)};
+    s.box_of_edge[static_cast<std::ptrdiff_t>(s.m) + e] = {__uint_as_float(kept.extents),
+                                                           __uint_as_float(kept.along),
+                                                           __int_as_float(ends.y), __int_as_float(e)};
     toi[e] = 1.0f;
     if (cell == s.cell_capacity) continue;
     for (int d = 0; d < 3; ++d) {
@@ -214,24 +233,18 @@ __global__ void __launch_bounds__(Policy::edge_threads) count(Mesh mesh, Scratch
     if (threadIdx.x % 32 == 0) atomicMax(&codes[d], reach[d]);
   }
   __syncthreads();
-  if (threadIdx.x < 3) atomicMax(&s.sums->reach_code[threadIdx.x], codes[threadIdx.x]);
+  if (threadIdx.x < 3) atomicMax(&s.head->sums.reach_code[threadIdx.x], codes[threadIdx.x]);
 }
 
-// Two threads an edge, which write its box to its place as one whole sector.
+// Two threads an edge, which write its record to its place as one whole sector.
 __global__ void __launch_bounds__(Policy::edge_threads) place(Scratch s) {
   const std::int64_t t = static_cast<std::int64_t>(blockIdx.x) * blockDim.x + threadIdx.x;
   const int e = static_cast<int>(t / 2), half = static_cast<int>(t % 2);
   if (e >= s.m) return;
   const int2 at = s.cell_and_rank[e];
-  const float4 corner = s.box_of_edge[half * static_cast<std::ptrdiff_t>(s.m) + e];
+  const float4 part = s.box_of_edge[half * static_cast<std::ptrdiff_t>(s.m) + e];
   const int place = s.starts[at.x] + at.y;
-  s.boxes[2 * static_cast<std::ptrdiff_t>(place) + half] = corner;
-  if (half == 0) s.order[place] = e;
-}
-
-__device__ __forceinline__ EdgeMotion load_motion(const Scratch& s, int place) {
-  const float4* b = s.boxes + 2 * static_cast<std::ptrdiff_t>(place);
-  return motion_of(s, {__float_as_int(__ldg(&b[0].w)), __float_as_int(__ldg(&b[1].w))});
+  s.records[2 * static_cast<std::ptrdiff_t>(place) + half] = part;
 }
 
 // A pair's relative motion: u and v along the edges, w between their first ends.
@@ -257,27 +270,13 @@ __device__ __forceinline__ bool meet(float3 u, float3 v, float3 w) {
   return crossing && s >= 0.0f && s <= nn && r >= 0.0f && r <= nn;
 }
 
-// What a warp keeps in shared memory: candidates, read 32 at a time, and two queues of pairs, those to
-// examine and those to bisect.
+// What a warp keeps in shared memory: candidates, of which up to 31 wait, and the pairs to resolve.
 struct Queues {
-  float4 low[64], high[64];  // candidates
-  int place[64];
-  int2 overlapping[128];
-  int2 crossing[64];
+  int4 boxes[64];  // packed, with the vertices
+  int2 names[64];  // place, number of the edge
+  int4 vertices[64];
+  int2 edges[64];
 };
-
-// Adds the pairs of the lanes in `hits` to a queue of `count`.
-__device__ __forceinline__ int append(int2* queue, int count, unsigned hits, int2 pair, int lane) {
-  if (hits >> lane & 1u) queue[count + __popc(hits & ((1u << lane) - 1u))] = pair;
-  __syncwarp();
-  return count + __popc(hits);
-}
-
-__device__ __forceinline__ int2 take(const int2* queue, int first, int lane) {
-  const int2 pair = queue[first + lane];
-  __syncwarp();
-  return pair;
-}
 
 // Floats that are not negative are ordered as their bits are.
 __device__ __forceinline__ void record(float* toi, int edge, float t) {
@@ -285,12 +284,13 @@ __device__ __forceinline__ void record(float* toi, int edge, float t) {
 }
 
 // Times of the pairs of a warp; lanes without one have `mine` unset.
-__device__ __noinline__ void resolve(const Scratch& s, float* toi, bool mine, int2 pair) {
+__device__ __noinline__ void resolve(const Scratch& s, float* toi, bool mine, int4 vertices, int2 edges) {
   if (mine) {
     // The edge of the lower number comes first, whatever the order in a cell: rounding does not depend on it.
-    const int e = s.order[pair.x], f = s.order[pair.y];
+    const int e = edges.x, f = edges.y;
     const bool swap = f < e;
-    const EdgeMotion p = load_motion(s, swap ? pair.y : pair.x), q = load_motion(s, swap ? pair.x : pair.y);
+    const EdgeMotion p = motion_of(s, swap ? int2{vertices.z, vertices.w} : int2{vertices.x, vertices.y});
+    const EdgeMotion q = motion_of(s, swap ? int2{vertices.x, vertices.y} : int2{vertices.z, vertices.w});
     const PairMotion r = relative(p, q);
     const Cubic volume = collision::triple_product(r.w, r.u, r.v);
     const float t =
@@ -303,116 +303,142 @@ __device__ __noinline__ void resolve(const Scratch& s, float* toi, bool mine, in
   __syncwarp();
 }
 
-// Queues those of a warp's pairs that may be coplanar at some time; returns how many the second queue holds
-// then.
-__device__ __noinline__ int examine(const Scratch& s, float* toi, int2* crossing_queue, int crossings,
-                                    int lane, bool mine, int2 pair) {
-  bool crossing = false;
-  if (mine) {
-    const PairMotion r = relative(load_motion(s, pair.x), load_motion(s, pair.y));
-    crossing = !collision::keeps_its_sign(collision::triple_product(r.w, r.u, r.v));
-  }
-  crossings = append(crossing_queue, crossings, __ballot_sync(kAllLanes, crossing), pair, lane);
-  if (crossings >= 32) {
-    crossings -= 32;
-    resolve(s, toi, true, take(crossing_queue, crossings, lane));
-  }
-  return crossings;
-}
-
 class Narrow {
  public:
   __device__ __forceinline__ Narrow(const Scratch& s, float* toi, Queues& queues, int lane)
       : s_(s), toi_(toi), queues_(queues), lane_(lane) {}
 
-  // All lanes call it; those with `hit` bring the pair of places (i, j).
-  __device__ __forceinline__ void add(bool hit, int i, int j) {
+  // All lanes call it; those with `hit` bring a pair: two vertices of each edge, and the edges' numbers.
+  __device__ __forceinline__ void add(bool hit, int4 vertices, int2 edges) {
     const unsigned hits = __ballot_sync(kAllLanes, hit);
     if (hits == 0) return;
-    overlaps_ = append(queues_.overlapping, overlaps_, hits, {i, j}, lane_);
-    examine_full_batches();
-  }
-
-  // All lanes call it: a bit of `hits` stands for the pair of place i with the candidate of that number from
-  // `first` on. Up to three pairs a lane go to the queue at a time, which has room for them beside the 31
-  // that may be left.
-  __device__ __forceinline__ void add_all(unsigned hits, int i, int first) {
-    const unsigned lanes_before = (1u << lane_) - 1u;
-#pragma unroll 1
-    while (__any_sync(kAllLanes, hits != 0)) {
-      const int mine = min(__popc(hits), 3);
-      const unsigned ones = __ballot_sync(kAllLanes, (mine & 1) != 0);
-      const unsigned twos = __ballot_sync(kAllLanes, (mine & 2) != 0);
-      const int at = overlaps_ + __popc(ones & lanes_before) + 2 * __popc(twos & lanes_before);
-#pragma unroll
-      for (int k = 0; k < 3; ++k) {
-        if (k < mine) {
-          queues_.overlapping[at + k] = {i, queues_.place[first + __ffs(static_cast<int>(hits)) - 1]};
-          hits &= hits - 1u;
-        }
-      }
-      __syncwarp();
-      overlaps_ += __popc(ones) + 2 * __popc(twos);
-      examine_full_batches();
+    if (hit) {
+      const int at = pairs_ + __popc(hits & ((1u << lane_) - 1u));
+      queues_.vertices[at] = vertices;
+      queues_.edges[at] = edges;
+    }
+    __syncwarp();
+    pairs_ += __popc(hits);
+    if (pairs_ >= 32) {
+      pairs_ -= 32;
+      resolve(s_, toi_, true, queues_.vertices[pairs_ + lane_], queues_.edges[pairs_ + lane_]);
     }
   }
 
-  // What is left at the end: fewer than 32 pairs in each queue.
+  // What is left at the end: fewer than 32 pairs.
   __device__ __forceinline__ void finish() {
-    if (overlaps_ > 0) {
-      const bool mine = lane_ < overlaps_;
-      const int2 pair = queues_.overlapping[mine ? lane_ : 0];
-      crossings_ = examine(s_, toi_, queues_.crossing, crossings_, lane_, mine, pair);
-    }
-    if (crossings_ > 0) {
-      const bool mine = lane_ < crossings_;
-      resolve(s_, toi_, mine, queues_.crossing[mine ? lane_ : 0]);
+    if (pairs_ > 0) {
+      const int at = lane_ < pairs_ ? lane_ : 0;
+      resolve(s_, toi_, lane_ < pairs_, queues_.vertices[at], queues_.edges[at]);
     }
   }
 
  private:
-  __device__ __forceinline__ void examine_full_batches() {
-#pragma unroll 1
-    while (overlaps_ >= 32) {
-      overlaps_ -= 32;
-      crossings_ = examine(s_, toi_, queues_.crossing, crossings_, lane_, true,
-                           take(queues_.overlapping, overlaps_, lane_));
-    }
-  }
-
   const Scratch& s_;
   float* toi_;
   Queues& queues_;
   int lane_;
-  int overlaps_ = 0, crossings_ = 0;
+  int pairs_ = 0;
 };
 
-// A box with the two vertices of its edge.
+// A box with the two vertices of its edge and its number.
 struct Entry {
   float4 low, high;
+  float2 along;
+  int edge;
+
+  __device__ __forceinline__ int a() const { return __float_as_int(low.w); }
+  __device__ __forceinline__ int b() const { return __float_as_int(high.w); }
+  __device__ __forceinline__ SweptBox box() const {
+    return {{low.x, low.y, low.z}, {high.x, high.y, high.z}, along.x, along.y};
+  }
 };
 
-__device__ __forceinline__ Entry load_entry(const Scratch& s, int place) {
-  const float4* b = s.boxes + 2 * static_cast<std::ptrdiff_t>(place);
-  return {__ldg(b), __ldg(b + 1)};
+struct Record {
+  float4 low, rest;
+};
+
+__device__ __forceinline__ Record load_record(const Scratch& s, int place) {
+  const float4* record = s.records + 2 * static_cast<std::ptrdiff_t>(place);
+  return {__ldg(record), __ldg(record + 1)};
 }
 
+__device__ __forceinline__ Entry entry_of(const Record& r, const Diagonal& diagonal) {
+  const SweptBox box = collision::expand(
+      diagonal, {{r.low.x, r.low.y, r.low.z}, __float_as_uint(r.rest.x), __float_as_uint(r.rest.y)});
+  return {r.low,
+          {box.high[0], box.high[1], box.high[2], r.rest.z},
+          {box.along_low, box.along_high},
+          __float_as_int(r.rest.w)};
+}
+
+// No short cuts, here and below: comparisons cost less than a branch.
 __device__ __forceinline__ bool overlap(const Entry& p, const Entry& q) {
   return (p.low.x <= q.high.x) & (q.low.x <= p.high.x) & (p.low.y <= q.high.y) & (q.low.y <= p.high.y) &
-         (p.low.z <= q.high.z) & (q.low.z <= p.high.z);
+         (p.low.z <= q.high.z) & (q.low.z <= p.high.z) & (p.along.x <= q.along.y) & (q.along.x <= p.along.y);
 }
 
-// Boxes overlap and their edges share no vertex. No short cuts: ten comparisons cost less than a branch.
-__device__ __forceinline__ bool is_candidate(const Entry& p, const Entry& q) {
-  const int a = __float_as_int(p.low.w), b = __float_as_int(p.high.w);
-  const int c = __float_as_int(q.low.w), d = __float_as_int(q.high.w);
-  return overlap(p, q) & (a != c) & (a != d) & (b != c) & (b != d);
+__device__ __forceinline__ bool share_no_vertex(int a, int b, int c, int d) {
+  return (a != c) & (a != d) & (b != c) & (b != d);
 }
 
-// `size` (at most 32) candidates from `first` on against the boxes of all lanes. Which of them each lane hits
-// is kept in a mask, so that the comparisons run without a vote or a branch.
-__device__ __forceinline__ void compare(const Queues& q, int first, int size, const Entry& mine, bool walks,
-                                        int i, Narrow& narrow) {
+// Boxes on a coarse scale: that of the box around those of a tile, which ends where the scale does; what is
+// beyond counts as at its end. A word has the lower ends along x, y, z and the diagonal, in 7, 7, 6 and 8
+// bits, another the upper ones; above each is a guard bit. Lower and upper ends go through the same monotone
+// function, so boxes that overlap do so on this scale too, whatever the rounding.
+class Scale {
+ public:
+  // From the box around a tile.
+  __device__ __forceinline__ explicit Scale(const Entry& all)
+      : x_(all.low.x, all.high.x),
+        y_(all.low.y, all.high.y),
+        z_(all.low.z, all.high.z),
+        along_(all.along.x, all.along.y) {}
+
+  // The box with the vertices of its edge. Guard bits of the upper ends are set.
+  __device__ __forceinline__ int4 pack(const Entry& e) const {
+    const unsigned low = word(e.low.x, e.low.y, e.low.z, e.along.x);
+    const unsigned high = word(e.high.x, e.high.y, e.high.z, e.along.y) + kGuards;
+    return {static_cast<int>(low), static_cast<int>(high), e.a(), e.b()};
+  }
+
+  // A guard bit of the difference stays set where no lower end is above the upper one.
+  __device__ __forceinline__ static bool overlap(int4 p, int4 q) {
+    const auto difference = [](int high, int low) {
+      return static_cast<unsigned>(high) - static_cast<unsigned>(low);
+    };
+    return (difference(p.y, q.x) & difference(q.y, p.x) & kGuards) == kGuards;
+  }
+
+ private:
+  struct Axis {
+    float factor, offset;
+
+    __device__ __forceinline__ Axis(float low, float high) {
+      factor = __fdividef(1.0f, fmaxf(high - low, 1e-30f));
+      offset = -low * factor;
+    }
+    // 0 to 2^bits - 1, in the lower bits of a number above 2^23.
+    __device__ __forceinline__ unsigned at(float x, int bits) const {
+      const float top = static_cast<float>((1 << bits) - 1);
+      return __float_as_uint(__saturatef(x * factor + offset) * top + 0x1p23f);
+    }
+  };
+
+  __device__ __forceinline__ unsigned word(float x, float y, float z, float along) const {
+    constexpr unsigned above = 0x4b000000u;  // the bits of 2^23
+    return x_.at(x, 7) + (y_.at(y, 7) << 8) + (z_.at(z, 6) << 16) + (along_.at(along, 8) << 23) -
+           (above + (above << 8) + (above << 16) + (above << 23));
+  }
+
+  static constexpr unsigned kGuards = 1u << 7 | 1u << 15 | 1u << 22 | 1u << 31;
+  Axis x_, y_, z_, along_;
+};
+
+// `size` (at most 32) candidates from `first` on against the boxes of all lanes, which have the places i.
+// Which of them each lane hits is kept in a mask, so that the comparisons run without a vote or a branch.
+__device__ __forceinline__ void compare(const Queues& q, int first, int size, int4 mine, bool walks, int i,
+                                        int edge, Narrow& narrow) {
   constexpr int unrolled = 8;
   unsigned hits = 0;
 #pragma unroll 1
@@ -420,153 +446,189 @@ __device__ __forceinline__ void compare(const Queues& q, int first, int size, co
     unsigned some = 0;
 #pragma unroll
     for (int k = 0; k < unrolled; ++k) {
-      const int at = first + base + k;
-      if (is_candidate(mine, {q.low[at], q.high[at]})) some |= 1u << k;
+      const int4 other = q.boxes[first + base + k];
+      if (Scale::overlap(mine, other) & share_no_vertex(mine.z, mine.w, other.z, other.w)) some |= 1u << k;
     }
     hits |= some << base;
   }
   if (size < 32) hits &= (1u << size) - 1u;
   // Pairs are met once, from the lower place. Candidates stand in the order of their places; only the first
   // ones may come from the warp's own.
-  if (__any_sync(kAllLanes, walks && q.place[first] <= i)) {
+  if (__any_sync(kAllLanes, walks && q.names[first].x <= i)) {
     int lower = 0;
 #pragma unroll
     for (int step = 16; step > 0; step /= 2) {
       const int at = lower + step - 1;
-      if (at < size && q.place[first + at] <= i) lower += step;
+      if (at < size && q.names[first + at].x <= i) lower += step;
     }
-    if (lower < size && q.place[first + lower] <= i) ++lower;
+    if (lower < size && q.names[first + lower].x <= i) ++lower;
     hits = lower < 32 ? hits & (0xffffffffu << lower) : 0;
   }
-  narrow.add_all(walks ? hits : 0u, i, first);
+  if (!walks) hits = 0;
+#pragma unroll 1
+  while (__any_sync(kAllLanes, hits != 0)) {
+    const int at = first + max(__ffs(static_cast<int>(hits)) - 1, 0);
+    narrow.add(hits != 0, {mine.z, mine.w, q.boxes[at].z, q.boxes[at].w}, {edge, q.names[at].y});
+    hits &= hits - 1u;
+  }
   __syncwarp();
 }
 
-// The largest number among the lanes that have `takes` set, the smallest number there is if none has.
-__device__ __forceinline__ float largest(float x, bool takes) {
-  return collision::decode(collision::warp_max(takes ? collision::encode(x) : 0x00800000u));
+// The largest number among the lanes.
+__device__ __forceinline__ float largest(float x) {
+  return collision::decode(collision::warp_max(collision::encode(x)));
 }
 
-// The pairs of 32 places in a row, `i` of this lane (at or beyond `end`: none).
+// The pairs of a tile, the 32 places from `first` on, those before `end`.
 __device__ __forceinline__ void visit_neighbours(const Grid& grid, const Scratch& s, Queues& q,
-                                                 Narrow& narrow, int i, int end, int lane) {
+                                                 Narrow& narrow, int first, int end, int lane) {
+  const int i = first + lane;
   Entry mine{};
-  int own_y = 0, own_z = 0;
-  const bool present = i < end;
-  if (present) {
-    mine = load_entry(s, i);
-    const SweptBox box{{mine.low.x, mine.low.y, mine.low.z}, {mine.high.x, mine.high.y, mine.high.z}};
-    own_y = grid.coordinate(box.centre(1), 1);
+  int own_row = -1, own_z = 0;  // of cells
+  if (i < end) {
+    mine = entry_of(load_record(s, i), grid.diagonal);
+    const SweptBox box = mine.box();
     own_z = grid.coordinate(box.centre(2), 2);
+    own_row = own_z * grid.n[1] + grid.coordinate(box.centre(1), 1);
   }
-  const int own_row = grid.row(own_y, own_z);
   // Lanes whose boxes lie in the same row of cells walk together. Every vote and shuffle here is by all
   // lanes, also by those without a place.
-  for (unsigned todo = __ballot_sync(kAllLanes, present); todo != 0;) {
+  for (unsigned todo = __ballot_sync(kAllLanes, own_row >= 0); todo != 0;) {
     const int leader = __ffs(static_cast<int>(todo)) - 1;
-    const int leading_row = __shfl_sync(kAllLanes, own_row, leader);
-    const bool walks = present && own_row == leading_row;
+    const int row = __shfl_sync(kAllLanes, own_row, leader);
+    const bool walks = own_row == row;
     todo &= ~__ballot_sync(kAllLanes, walks);
     // All rows before their own hold lower places only.
-    const int first_z = __shfl_sync(kAllLanes, own_z, leader);
-    const int first_y = __shfl_sync(kAllLanes, own_y, leader);
-    const int after = __shfl_sync(kAllLanes, i, leader) + 1;
+    const int after = first + leader + 1;
+    const int first_z = __shfl_sync(kAllLanes, own_z, leader), first_y = row - first_z * grid.n[1];
+    constexpr float least = -3.402823466e38f;
     Entry all{};  // the box around theirs
-    all.low.x = -largest(-mine.low.x, walks);
-    all.low.y = -largest(-mine.low.y, walks);
-    all.low.z = -largest(-mine.low.z, walks);
-    all.high.x = largest(mine.high.x, walks);
-    all.high.y = largest(mine.high.y, walks);
-    all.high.z = largest(mine.high.z, walks);
+    all.low.x = -largest(walks ? -mine.low.x : least);
+    all.low.y = -largest(walks ? -mine.low.y : least);
+    all.low.z = -largest(walks ? -mine.low.z : least);
+    all.high.x = largest(walks ? mine.high.x : least);
+    all.high.y = largest(walks ? mine.high.y : least);
+    all.high.z = largest(walks ? mine.high.z : least);
+    all.along.x = -largest(walks ? -mine.along.x : least);
+    all.along.y = largest(walks ? mine.along.y : least);
+    const Scale scale(all);
+    const int4 packed = scale.pack(mine);
     const int low_x = grid.coordinate(all.low.x - grid.reach[0], 0);
     const int high_x = grid.coordinate(all.high.x + grid.reach[0], 0);
     const int low_y = grid.coordinate(all.low.y - grid.reach[1], 1);
     const int high_y = grid.coordinate(all.high.y + grid.reach[1], 1);
     const int high_z = grid.coordinate(all.high.z + grid.reach[2], 2);
-    int waiting = 0;
     // The rows of cells from their own on, 32 at a time: each lane looks up one.
     const int rows_y = high_y - low_y + 1, rows = (high_z - first_z + 1) * rows_y;
-    for (int first_row = first_y - low_y; first_row < rows; first_row += 32) {
-      int begin = 0, stop = 0;
-      const int k = first_row + lane;
-      if (k < rows) {
-        const int row = grid.row(low_y + k % rows_y, first_z + k / rows_y);
-        begin = max(s.starts[row + low_x], after);
-        stop = s.starts[row + high_x + 1];
-      }
-      for (unsigned filled = __ballot_sync(kAllLanes, begin < stop); filled != 0; filled &= filled - 1u) {
-        const int from = __ffs(static_cast<int>(filled)) - 1;
-        const int row_stop = __shfl_sync(kAllLanes, stop, from);
-        for (int base = __shfl_sync(kAllLanes, begin, from); base < row_stop; base += 32) {
-          const int j = base + lane;
-          Entry other{};
-          if (j < row_stop) other = load_entry(s, j);
-          const bool keep = j < row_stop && overlap(all, other);
-          const unsigned kept = __ballot_sync(kAllLanes, keep);
-          if (keep) {
-            const int at = waiting + __popc(kept & ((1u << lane) - 1u));
-            q.low[at] = other.low;
-            q.high[at] = other.high;
-            q.place[at] = j;
+    int next_row = first_y - low_y, begin = 0, stop = 0;
+    unsigned filled = 0;  // lanes whose row is yet to come
+    // The batch to come: 32 places from `base` on, those before `row_stop`.
+    int base = 0, row_stop = 0;
+    bool more = false;
+    const auto next_batch = [&] {
+      base += 32;
+      if (base >= row_stop) {
+        while (filled == 0 && next_row < rows) {
+          begin = stop = 0;
+          const int k = next_row + lane;
+          if (k < rows) {
+            const int cells = grid.row(low_y + k % rows_y, first_z + k / rows_y);
+            begin = max(s.starts[cells + low_x], after);
+            stop = s.starts[cells + high_x + 1];
           }
-          __syncwarp();
-          waiting += __popc(kept);
-          if (waiting >= 32) {
-            waiting -= 32;
-            compare(q, waiting, 32, mine, walks, i, narrow);
-          }
+          filled = __ballot_sync(kAllLanes, begin < stop);
+          next_row += 32;
         }
+        more = filled != 0;
+        if (!more) return;
+        const int from = __ffs(static_cast<int>(filled)) - 1;
+        base = __shfl_sync(kAllLanes, begin, from);
+        row_stop = __shfl_sync(kAllLanes, stop, from);
+        filled &= filled - 1u;
+      }
+    };
+    Record ahead{};
+    const auto load_ahead = [&] {
+      if (more && base + lane < row_stop) ahead = load_record(s, base + lane);
+    };
+    next_batch();
+    load_ahead();
+    int waiting = 0;
+    while (more || waiting > 0) {
+      if (more) {
+        // The next batch is on its way while this one is filtered and compared.
+        const Record record = ahead;
+        const int j = base + lane;
+        const bool there = j < row_stop;
+        next_batch();
+        load_ahead();
+        const Entry other = entry_of(record, grid.diagonal);
+        const bool keep = there && overlap(all, other);
+        const unsigned kept = __ballot_sync(kAllLanes, keep);
+        if (keep) {
+          const int at = waiting + __popc(kept & ((1u << lane) - 1u));
+          q.boxes[at] = scale.pack(other);
+          q.names[at] = {j, other.edge};
+        }
+        __syncwarp();
+        waiting += __popc(kept);
+      }
+      if (waiting >= 32 || (!more && waiting > 0)) {
+        const int size = min(waiting, 32);
+        waiting -= size;
+        compare(q, waiting, size, packed, walks, i, mine.edge, narrow);
       }
     }
-    if (waiting > 0) compare(q, 0, waiting, mine, walks, i, narrow);
   }
 }
 
 // Large boxes, which stand behind the others, against every box: a warp takes a box and a chunk of
 // candidates.
-__device__ __forceinline__ void visit_large(const Scratch& s, Narrow& narrow, int small, int warp, int warps,
-                                            int lane) {
+__device__ __forceinline__ void visit_large(const Diagonal& diagonal, const Scratch& s, Narrow& narrow,
+                                            int small, int warp, int warps, int lane) {
   const int chunks = (s.m + Policy::large_chunk - 1) / Policy::large_chunk;
   const long long items = static_cast<long long>(s.m - small) * chunks;
   for (long long item = warp; item < items; item += warps) {
     const int i = small + static_cast<int>(item / chunks);
     const int begin = static_cast<int>(item % chunks) * Policy::large_chunk;
     const int stop = min(begin + Policy::large_chunk, s.m);
-    const Entry mine = load_entry(s, i);
+    const Entry mine = entry_of(load_record(s, i), diagonal);
     for (int base = begin; base < stop; base += 32) {
       const int j = base + lane;
+      Entry other{};
+      if (j < stop) other = entry_of(load_record(s, j), diagonal);
       // Two large boxes meet once.
-      const bool hit = j < stop && (j < small || j > i) && is_candidate(mine, load_entry(s, j));
-      narrow.add(hit, i, j);
+      const bool hit = j < stop && (j < small || j > i) && overlap(mine, other) &&
+                       share_no_vertex(mine.a(), mine.b(), other.a(), other.b());
+      narrow.add(hit, {mine.a(), mine.b(), other.a(), other.b()}, {mine.edge, other.edge});
     }
   }
 }
 
 __global__ void __launch_bounds__(Policy::impact_threads, Policy::resident_warps / Policy::warps)
-    impacts(const __grid_constant__ Scratch s, float* toi, int tiles_of_block) {
+    impacts(const __grid_constant__ Scratch s, float* toi) {
   __shared__ Grid grid;
   __shared__ Queues queues[Policy::warps];
-  __shared__ int taken;
-  if (threadIdx.x == 0) {
-    grid = collision::make_grid(*s.sums, samples_of(s.m), s.cell_capacity, grid_shape());
-    taken = 0;
-  }
+  if (threadIdx.x == 0)
+    grid = collision::make_grid(s.head->sums, samples_of(s.m), s.cell_capacity, grid_shape());
   __syncthreads();
   const int lane = static_cast<int>(threadIdx.x) % 32, warp_of_block = static_cast<int>(threadIdx.x) / 32;
   const int warp = static_cast<int>(blockIdx.x) * Policy::warps + warp_of_block;
   const int warps = static_cast<int>(gridDim.x) * Policy::warps;
   const int small = s.starts[s.cell_capacity];
+  const int tiles = (small + 31) / 32;
   Narrow narrow(s, toi, queues[warp_of_block], lane);
-  // Its queues stay filled from tile to tile, so that few batches are partial.
+  // The queue of pairs stays filled from tile to tile, so that few batches are partial. The next tile's
+  // number is on its way while the last one is worked on.
+  int next = 0;
+  if (lane == 0) next = atomicAdd(&s.head->tiles_taken, 1);
   for (;;) {
-    int tile = 0;
-    if (lane == 0) tile = atomicAdd(&taken, 1);
-    tile = __shfl_sync(kAllLanes, tile, 0);
-    const std::int64_t first = 32 * (static_cast<std::int64_t>(blockIdx.x) * tiles_of_block + tile);
-    if (tile >= tiles_of_block || first >= small) break;
-    visit_neighbours(grid, s, queues[warp_of_block], narrow, static_cast<int>(first) + lane, small, lane);
+    const int tile = __shfl_sync(kAllLanes, next, 0);
+    if (tile >= tiles) break;
+    if (lane == 0) next = atomicAdd(&s.head->tiles_taken, 1);
+    visit_neighbours(grid, s, queues[warp_of_block], narrow, 32 * tile, small, lane);
   }
-  visit_large(s, narrow, small, warp, warps, lane);
+  visit_large(grid.diagonal, s, narrow, small, warp, warps, lane);
   narrow.finish();
 }
 
@@ -581,14 +643,12 @@ class Reference {
     if (m > (std::int64_t{1} << 29) || in.x0.shape[0] > (std::int64_t{1} << 30))
       throw std::runtime_error("ccd_ee: too many edges or vertices for 32-bit places");
     const std::size_t count = static_cast<std::size_t>(m);
-    cells_ = m + collision::kLeastCells;
-    // The sums stand before the counts, so that one memset clears both.
-    counters_ = DeviceBuffer<std::int32_t>(static_cast<std::size_t>(kSumsWords + cells_ + 1));
+    cells_ = m / 2 + collision::kLeastCells;
+    counters_ = DeviceBuffer<std::int32_t>(static_cast<std::size_t>(kHeadWords + cells_ + 1));
     vertices_ = DeviceBuffer<float4>(2 * static_cast<std::size_t>(in.x0.shape[0]));
     box_of_edge_ = DeviceBuffer<float4>(2 * count);
     cell_and_rank_ = DeviceBuffer<int2>(count);
-    order_ = DeviceBuffer<std::int32_t>(count);
-    boxes_ = DeviceBuffer<float4>(2 * count);
+    records_ = DeviceBuffer<float4>(2 * count);
     scan_bytes_ = primitives::exclusive_sum_bytes(cells_ + 1);
     scan_ = DeviceBuffer<unsigned char>(scan_bytes_);
   }
@@ -598,17 +658,16 @@ class Reference {
     if (m == 0) return;
     const int n = static_cast<int>(in.x0.shape[0]);
     const Mesh mesh{in.x0.data, in.x1.data, reinterpret_cast<const int2*>(in.edges.data), n, m};
-    const Scratch s{reinterpret_cast<SceneSums*>(counters_.get()),
-                    counters_.get() + kSumsWords,
+    const Scratch s{reinterpret_cast<Head*>(counters_.get()),
+                    counters_.get() + kHeadWords,
                     vertices_.get(),
                     box_of_edge_.get(),
                     cell_and_rank_.get(),
-                    order_.get(),
-                    boxes_.get(),
+                    records_.get(),
                     static_cast<int>(cells_),
                     m};
     GPUPHYS_CUDA(cudaMemsetAsync(counters_.get(), 0,
-                                 sizeof(std::int32_t) * static_cast<std::size_t>(kSumsWords + cells_ + 1)));
+                                 sizeof(std::int32_t) * static_cast<std::size_t>(kHeadWords + cells_ + 1)));
     const auto at_most = [](unsigned blocks) {
       return std::min(blocks, static_cast<unsigned>(Policy::edge_blocks));
     };
@@ -618,22 +677,20 @@ class Reference {
     count<<<at_most(blocks_for(m, Policy::edge_threads)), Policy::edge_threads>>>(mesh, s, out.toi.data);
     primitives::exclusive_sum(scan_.get(), scan_bytes_, s.starts, s.starts, cells_ + 1);
     place<<<blocks_for(halves, Policy::edge_threads), Policy::edge_threads>>>(s);
-    const std::int64_t tiles = (static_cast<std::int64_t>(m) + 31) / 32;
-    const int tiles_of_block =
-        Policy::warps * static_cast<int>(std::clamp<std::int64_t>(
-                            tiles / (2 * Policy::warps * Policy::resident_blocks), 1, Policy::tiles_of_warp));
-    impacts<<<blocks_for(tiles, tiles_of_block), Policy::impact_threads>>>(s, out.toi.data, tiles_of_block);
+    // A warp takes tile after tile.
+    const unsigned blocks =
+        std::min(blocks_for(m, 32 * Policy::warps), static_cast<unsigned>(Policy::resident_blocks));
+    impacts<<<blocks, Policy::impact_threads>>>(s, out.toi.data);
   }
 
  private:
-  static constexpr std::int64_t kSumsWords = 64;  // keeps the counts aligned to 256 bytes
-  static_assert(sizeof(SceneSums) <= 4 * kSumsWords);
+  static constexpr std::int64_t kHeadWords = sizeof(Head) / sizeof(std::int32_t);
 
   std::int64_t cells_ = 0;
   std::size_t scan_bytes_ = 0;
-  DeviceBuffer<std::int32_t> counters_, order_;
+  DeviceBuffer<std::int32_t> counters_;
   DeviceBuffer<int2> cell_and_rank_;
-  DeviceBuffer<float4> vertices_, box_of_edge_, boxes_;
+  DeviceBuffer<float4> vertices_, box_of_edge_, records_;
   DeviceBuffer<unsigned char> scan_;
 };
 

@@ -43,17 +43,6 @@ __device__ __forceinline__ Cubic triple_product(const Moving& w, const Moving& u
   return f;
 }
 
-/// Whether all Bernstein coefficients over [0, 1] have one strict sign: then so has the cubic, which lies in
-/// their hull.
-__device__ __forceinline__ bool keeps_its_sign(const Cubic& f) {
-  constexpr float third = 1.0f / 3.0f;
-  const float b1 = f.c0 + third * f.c1;
-  const float b2 = f.c0 + third * (2.0f * f.c1 + f.c2);
-  const float b3 = f.c0 + (f.c1 + (f.c2 + f.c3));
-  const float low = fminf(fminf(f.c0, b1), fminf(b2, b3)), high = fmaxf(fmaxf(f.c0, b1), fmaxf(b2, b3));
-  return low > 0.0f || high < 0.0f;
-}
-
 constexpr int kBisections = 30;
 
 /// The change of sign of f in [low, high], on which it is monotone and whose ends differ in sign.

@@ -7,6 +7,14 @@
 // of any box, per axis. Boxes much larger than the mean would make that reach useless: they go to a list of
 // their own behind the last cell and meet every box there is.
 //
+// An axis-aligned box around something long that lies aslant is mostly empty. So boxes also have an interval
+// along one of the six diagonals of two axes, the same for all: the one along which a sample of them is
+// thinnest compared with its boxes.
+//
+// Boxes are kept in 20 bytes: the lower corner, the extents as multiples of a unit (a power of two, 1/128 to
+// 1/255 of the largest of them) and the interval along the diagonal in the same unit, relative to the corner.
+// All are rounded outwards, and everything here works with what is kept.
+//
 // Overlapping boxes are never missed by rounding: with c_j the centre of j, R at least (c_j - low_j)(1 + u)
 // and low_j <= high_i, the float32 number c_j is at most high_i + R and so, rounding being monotone, at most
 // fl(high_i + R); the cell of a coordinate is monotone as well.
@@ -18,13 +26,30 @@
 
 namespace gpuphys::collision {
 
-/// Sums over all boxes. Extrema are kept as the largest order-preserving code, for which 0 stands below
-/// every number: one memset prepares all of them.
+/// x[p] + sign * x[q], p < q.
+struct Diagonal {
+  int p, q;
+  float sign;
+
+  __device__ __forceinline__ float of(float x, float y, float z) const {
+    return (p == 0 ? x : y) + sign * (q == 1 ? y : z);
+  }
+};
+constexpr int kDiagonals = 6;
+__device__ __forceinline__ constexpr Diagonal diagonal(int number) {
+  return {number / 4, number < 2 ? 1 : 2, number % 2 == 0 ? 1.0f : -1.0f};
+}
+
+/// Sums of extents: of the largest one of each box, of those along the axes and along the diagonals.
+constexpr int kLargest = 0, kAlong = 1, kAlongDiagonal = 4, kExtents = 10;
+
+/// Sums over all boxes, extents over a sample. Extrema are kept as the largest order-preserving code, for
+/// which 0 stands below every number: one memset prepares all of them.
 struct SceneSums {
   unsigned low_code[3],
       high_code[3];        ///< around the centres; the lower end as that of the negated coordinate
   unsigned reach_code[3];  ///< largest half extent of the boxes in the grid
-  float extent_sum;        ///< of the largest extent of boxes
+  float extents[kExtents];
 };
 
 __device__ __forceinline__ unsigned encode(float x) {
@@ -40,6 +65,7 @@ struct Grid {
   int n[3];
   float reach[3];
   float large;  ///< boxes whose largest extent exceeds it are not in the grid
+  Diagonal diagonal;
 
   __device__ __forceinline__ int coordinate(float x, int d) const {
     // The clamp comes first: beyond the grid a float may not fit an int.
@@ -54,8 +80,23 @@ struct GridShape {
   float cell_over_extent[3], large_over_extent;
 };
 
+__device__ inline Diagonal thinnest_diagonal(const SceneSums& sums) {
+  Diagonal thinnest = diagonal(0);
+  float least = 2.0f;
+  for (int k = 0; k < kDiagonals; ++k) {
+    const Diagonal d = diagonal(k);
+    const float share =
+        sums.extents[kAlongDiagonal + k] / (sums.extents[kAlong + d.p] + sums.extents[kAlong + d.q]);
+    if (share < least) {
+      least = share;
+      thinnest = d;
+    }
+  }
+  return thinnest;
+}
+
 /// The same in every thread that asks, once the sums are complete (`reach` needs those of the second pass).
-/// `boxes`: how many `extent_sum` is over, all or a sample.
+/// `boxes`: how many the sample has.
 __device__ inline Grid make_grid(const SceneSums& sums, int boxes, int cell_capacity, GridShape shape) {
   Grid g;
   float range[3], longest = 0.0f;
@@ -66,7 +107,8 @@ __device__ inline Grid make_grid(const SceneSums& sums, int boxes, int cell_capa
     // The margin covers the rounding of the half extents.
     g.reach[d] = sums.reach_code[d] ? decode(sums.reach_code[d]) * (1.0f + 0x1p-20f) : 0.0f;
   }
-  const float mean = sums.extent_sum / static_cast<float>(boxes);
+  const float mean = sums.extents[kLargest] / static_cast<float>(boxes);
+  g.diagonal = thinnest_diagonal(sums);
   g.large = shape.large_over_extent * mean;
   float cell[3];
   for (int d = 0; d < 3; ++d)
@@ -90,6 +132,7 @@ constexpr int kLeastCells = 16;
 
 struct SweptBox {
   float low[3], high[3];
+  float along_low, along_high;  ///< the interval along the scene's diagonal
 
   __device__ __forceinline__ float centre(int d) const { return 0.5f * low[d] + 0.5f * high[d]; }
   __device__ __forceinline__ float extent() const {
@@ -97,11 +140,82 @@ struct SweptBox {
   }
 };
 
-__device__ __forceinline__ SweptBox box_of(float3 a0, float3 b0, float3 a1, float3 b1) {
-  const auto low = [](float a, float b, float c, float d) { return fminf(fminf(a, b), fminf(c, d)); };
-  const auto high = [](float a, float b, float c, float d) { return fmaxf(fmaxf(a, b), fmaxf(c, d)); };
-  return {{low(a0.x, b0.x, a1.x, b1.x), low(a0.y, b0.y, a1.y, b1.y), low(a0.z, b0.z, a1.z, b1.z)},
-          {high(a0.x, b0.x, a1.x, b1.x), high(a0.y, b0.y, a1.y, b1.y), high(a0.z, b0.z, a1.z, b1.z)}};
+struct CompactBox {
+  float low[3];
+  unsigned extents;  ///< a byte each, in units; above them the exponent of the unit
+  unsigned along;    ///< lower and upper end along the diagonal, 16 bits each, in units from the low corner
+};
+
+__device__ __forceinline__ float least_of(float a, float b, float c, float d) {
+  return fminf(fminf(a, b), fminf(c, d));
+}
+__device__ __forceinline__ float largest_of(float a, float b, float c, float d) {
+  return fmaxf(fmaxf(a, b), fmaxf(c, d));
+}
+
+/// Adds the extents of what moves from a0, b0 to a1, b1.
+__device__ __forceinline__ void add_extents(float (&sums)[kExtents], float3 a0, float3 b0, float3 a1,
+                                            float3 b1) {
+  const auto extent = [](float a, float b, float c, float d) {
+    return largest_of(a, b, c, d) - least_of(a, b, c, d);
+  };
+  const float along[3] = {extent(a0.x, b0.x, a1.x, b1.x), extent(a0.y, b0.y, a1.y, b1.y),
+                          extent(a0.z, b0.z, a1.z, b1.z)};
+  sums[kLargest] += fmaxf(fmaxf(along[0], along[1]), along[2]);
+#pragma unroll
+  for (int d = 0; d < 3; ++d) sums[kAlong + d] += along[d];
+#pragma unroll
+  for (int k = 0; k < kDiagonals; ++k) {
+    const auto at = [k](float3 x) { return diagonal(k).of(x.x, x.y, x.z); };
+    sums[kAlongDiagonal + k] += extent(at(a0), at(b0), at(a1), at(b1));
+  }
+}
+
+/// The box of what moves from a0, b0 to a1, b1.
+__device__ __forceinline__ CompactBox compact_box(const Diagonal& diagonal, float3 a0, float3 b0, float3 a1,
+                                                  float3 b1) {
+  CompactBox box;
+  box.low[0] = least_of(a0.x, b0.x, a1.x, b1.x);
+  box.low[1] = least_of(a0.y, b0.y, a1.y, b1.y);
+  box.low[2] = least_of(a0.z, b0.z, a1.z, b1.z);
+  const float extent[3] = {largest_of(a0.x, b0.x, a1.x, b1.x) - box.low[0],
+                           largest_of(a0.y, b0.y, a1.y, b1.y) - box.low[1],
+                           largest_of(a0.z, b0.z, a1.z, b1.z) - box.low[2]};
+  const float largest = fmaxf(fmaxf(extent[0], extent[1]), fmaxf(extent[2], 1e-30f));
+  // In a unit of 2^(e - 134), e the exponent below, the largest extent is less than 256 / (1 + 2^-7) < 254.1.
+  const int e = static_cast<int>(__float_as_uint((1.0f + 0x1p-7f) * largest) >> 23);
+  const float units = __uint_as_float(static_cast<unsigned>(261 - e) << 23);
+  // Differences are good to 2^-24, so multiples of the unit up to 510 to 1e-4.
+  constexpr float slack = 1e-3f;
+  box.extents = static_cast<unsigned>(e - 7) << 24;
+#pragma unroll
+  for (int d = 0; d < 3; ++d)
+    box.extents |= static_cast<unsigned>(ceilf(extent[d] * units + slack)) << (8 * d);
+  const auto along = [&](float3 x) {
+    return diagonal.of(x.x - box.low[0], x.y - box.low[1], x.z - box.low[2]);
+  };
+  const float a = along(a0), b = along(b0), c = along(a1), d = along(b1);
+  const int low = static_cast<int>(floorf(least_of(a, b, c, d) * units - slack));
+  const int high = static_cast<int>(ceilf(largest_of(a, b, c, d) * units + slack));
+  box.along = (static_cast<unsigned>(low) & 0xffffu) | static_cast<unsigned>(high) << 16;
+  return box;
+}
+
+/// What a compact box stands for. Products with the unit are exact.
+__device__ __forceinline__ SweptBox expand(const Diagonal& diagonal, const CompactBox& box) {
+  SweptBox swept;
+  const float unit = __uint_as_float(box.extents >> 24 << 23);
+#pragma unroll
+  for (int d = 0; d < 3; ++d) {
+    swept.low[d] = box.low[d];
+    swept.high[d] = box.low[d] + static_cast<float>(box.extents >> (8 * d) & 0xffu) * unit;
+  }
+  const float p = diagonal.p == 0 ? box.low[0] : box.low[1];
+  const float q = diagonal.sign * (diagonal.q == 1 ? box.low[1] : box.low[2]);
+  const int low = static_cast<std::int16_t>(box.along), high = static_cast<std::int16_t>(box.along >> 16);
+  swept.along_low = __fadd_rd(__fadd_rd(p, q), static_cast<float>(low) * unit);
+  swept.along_high = __fadd_ru(__fadd_ru(p, q), static_cast<float>(high) * unit);
+  return swept;
 }
 
 __device__ __forceinline__ unsigned warp_max(unsigned x) {

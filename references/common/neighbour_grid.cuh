@@ -1,11 +1,16 @@
 // Neighbour search on the device: items sorted by the cells of a uniform grid, for any payload and any
 // cut-off.
 //
-// A build is five launches, without a round trip to the host:
-//   1. find_bounds   bounding box and largest radius; its last block chooses the grid. Clears the counters.
-//   2. count_items   items of each cell by atomics; the value returned is the item's rank in its cell.
-//   3. exclusive sum over the cells, in place: two launches (references/common/primitives.hpp).
-//   4. place_items   every item's record is written at start of its cell + rank.
+// A build sorts in two levels and is four launches, each prepared during the one before
+// (dependent_launch.cuh), without a round trip to the host:
+//   1. find_bounds   bounding box and largest radius; its last block chooses the grid.
+//   2. count_items   a block counts its part of the items by bins, ranges of `bin_cells` cells, in shared
+//                    memory, and reserves its place in each bin: one atomic a bin and block, in whole
+//                    sectors.
+//   3. split_items   the same blocks write their items' records to their bins, one record a thread ahead.
+//   4. sort_bins     a block a bin: counts the bin's cells, writes their starts, and its records in order.
+//                    All in shared memory, and each record is ranked once; a bin with more than
+//                    `bin_items` goes through global memory instead.
 // Cells are contiguous along z, so that the cells [z0, z1] of one column are one range of slots:
 // [start[row + z0], start[row + z1 + 1]).
 //
@@ -20,12 +25,20 @@
 //   __device__ float radius(int i) const;          half the cut-off of item i with one of its own size
 //   using Record;                                  payload of an item, a whole number of 16-byte words
 //   __device__ Record record(int i) const;         of item i
-//   __device__ void placed(const Grid&, int i, int slot, const Record&) const;   told where item i goes
-//   Record* records;                               device memory for `count` of them, aligned to 32 bytes
+//   __device__ float3 position(const Record&) const;   the same as of its item, bit by bit
+//   __device__ void placed(const Grid&, int slot, const Record&) const;   told what comes to each slot
+//   Record* split;                                 scratch in device memory for `count` of them, aligned to
+//                                                  32 bytes
+//   float4* sorted;                                receives the result, word by word: that of number w of
+//                                                  the record in slot s is sorted[w * count + s]
 //
-// Records go to random places. Neighbouring lanes write the words of one record in one instruction: a record
-// of 32 or 64 bytes fills whole sectors, whereas a sector written in part is fetched from DRAM before it is
-// written back (measured: 0.25 ms for 2M records of two separate 16-byte stores). Keep other sizes rare.
+// What bounds it: memory, if waits are kept side by side. Records are written twice and read once, and
+// split_items writes them in runs of a few, by sectors: neighbouring lanes write the words of one record in
+// one instruction. A record of 32 or 64 bytes fills whole sectors, whereas a sector written in part may be
+// fetched from DRAM before it is written back (measured: 0.25 ms for 2M records of two separate 16-byte
+// stores). Keep other sizes rare. Loads are issued in batches, also at the end of a loop (indices are clamped
+// there), or go to shared memory without registers (cp.async). The grid is read from registers or shared
+// memory inside loops: a load of it would queue behind those of the items.
 #pragma once
 
 #include <cuda_runtime.h>
@@ -34,8 +47,9 @@
 #include <cstddef>
 #include <cstdint>
 
+#include "core/module.hpp"
+#include "references/common/dependent_launch.cuh"
 #include "references/common/device_buffer.cuh"
-#include "references/common/primitives.hpp"
 
 namespace gpuphys::neighbour_grid {
 
@@ -43,8 +57,15 @@ namespace gpuphys::neighbour_grid {
 struct DefaultPolicy {
   static constexpr int bounds_threads = 512;
   static constexpr int bounds_blocks = 3 * 132;  // one wave; also bounds the last block's share
-  static constexpr int item_threads = 256;       // counting and placing: a thread an item
-  static constexpr int z_cells = 2;  // cells along z in one edge along x and y: ranges fit tighter
+  static constexpr int split_threads = 768;      // counting and splitting: a block a part of the items
+  static constexpr int split_blocks = 2 * 132;   // one wave; fewer make longer runs
+  static constexpr int split_blocks_per_sm = 2;
+  static constexpr int bin_cells = 1024;  // a multiple of four
+  static constexpr int bin_items = 1792;  // that fit in shared memory; at most 2^16
+  static constexpr int bin_threads = 512;
+  static constexpr int bin_blocks_per_sm = 3;
+  static constexpr int most_bins = 8192;  // counted in shared memory; cells grow where these are not enough
+  static constexpr int z_cells = 2;       // cells along z in one edge along x and y: ranges fit tighter
   static constexpr float cells_per_item = 1.5f;
 };
 
@@ -71,36 +92,50 @@ __device__ __forceinline__ int cell_of(const Grid& grid, float3 p) {
          cell_along(grid, 2, p.z);
 }
 
-/// Calls visit(begin, end) for ranges of slots that hold every item within `cutoff` of `p` along each axis
-/// (and others). `p` need not be an item.
-template <class Visit>
-__device__ __forceinline__ void visit_ranges(const Grid& grid, const int* __restrict__ start, float3 p,
-                                             float cutoff, Visit&& visit) {
+/// Columns of cells that visit_ranges() hands over at a time.
+constexpr int columns_at_a_time = 3;
+
+/// The slots [begin, end) of each; some may be empty.
+struct Ranges {
+  int begin[columns_at_a_time], end[columns_at_a_time];
+};
+
+/// Calls visit(Ranges) so that the ranges hold every item within `cutoff` of `p` along each axis (and
+/// others), each once; no range is longer than Longest. Calls prepare() before it fetches each. `p` need not
+/// be an item.
+template <int Longest, class Prepare, class Visit>
+__device__ __forceinline__ void visit_ranges(const Grid& grid, const int* start, float3 p, float cutoff,
+                                             Prepare&& prepare, Visit&& visit) {
   const int x0 = cell_along(grid, 0, p.x - cutoff), x1 = cell_along(grid, 0, p.x + cutoff);
   const int y0 = cell_along(grid, 1, p.y - cutoff), y1 = cell_along(grid, 1, p.y + cutoff);
   const int z0 = cell_along(grid, 2, p.z - cutoff), z1 = cell_along(grid, 2, p.z + cutoff);
   // Neighbours in the order of slots mostly share a column: they all begin one column before it, so that they
-  // are in the same column at any time and read the same cache lines, though some skip it. Columns are
-  // counted down to the last: `seen` of each axis are visited, `all` include those skipped.
-  const int seen_x = x1 - x0, all_x = max(seen_x, x1 - cell_along(grid, 0, p.x) + 1);
-  const int seen_y = y1 - y0, all_y = max(seen_y, y1 - cell_along(grid, 1, p.y) + 1);
-  const int width = z1 + 1 - z0, next_y = grid.cells[2], next_x = (grid.cells[1] - all_y) * next_y;
-  int ahead = ((x1 - all_x) * grid.cells[1] + y1 - all_y) * next_y + z0, begin = 0, end = 0;
-  const auto fetch = [&](int x, int y) {
-    begin = end = 0;
-    if (x > seen_x || y > seen_y) return;
-    begin = start[ahead];
-    end = start[ahead + width];
-  };
-  fetch(all_x, all_y);
-  for (int x = all_x; x >= 0; --x) {
-    for (int y = all_y; y >= 0; --y) {
-      // The next column's range is under way while this one is visited: the visit waits for memory once, not
-      // twice in a row.
-      const int first = begin, last = end;
-      ahead += y > 0 ? next_y : next_x;
-      if (y > 0 || x > 0) fetch(y > 0 ? x : x - 1, y > 0 ? y - 1 : all_y);
-      visit(first, last);
+  // are in the same column at any time and read the same cache lines, though some skip it.
+  const int first_x = min(x0, cell_along(grid, 0, p.x) - 1), first_y = min(y0, cell_along(grid, 1, p.y) - 1);
+  const int width = z1 + 1 - z0, next_y = grid.cells[2];
+  for (int x = first_x; x <= x1; ++x) {
+    for (int y = first_y; y <= y1; y += columns_at_a_time) {
+      bool again;
+      int skipped = 0;
+      do {
+        prepare();
+        again = false;
+        const int first = (x * grid.cells[1] + y) * next_y + z0;
+        Ranges ranges;
+#pragma unroll
+        for (int c = 0; c < columns_at_a_time; ++c) {
+          const bool seen = x >= x0 && y + c >= y0 && y + c <= y1;
+          // Loads without a condition take fewer instructions.
+          const unsigned from = seen ? static_cast<unsigned>(first + c * next_y) : 0u;
+          const unsigned to = seen ? static_cast<unsigned>(first + c * next_y + width) : 0u;
+          const int end = start[to];
+          ranges.begin[c] = min(start[from] + skipped, end);
+          ranges.end[c] = min(ranges.begin[c] + Longest, end);
+          again = again || ranges.end[c] < end;
+        }
+        visit(ranges);
+        skipped += Longest;
+      } while (again);
     }
   }
 }
@@ -120,11 +155,57 @@ static __device__ unsigned bounds_finished;
 struct Storage {
   Grid* grid;
   Bounds* partial;  // one a block of find_bounds
-  int* start;       // counts, then starts: `padded` entries
-  int* rank;        // of each item in its cell
+  int* start;       // first slot of each cell
+  int* bin_count;   // items of each bin
+  int* bin_start;   // first slot of each bin, and behind the last the number of items
+  int* reserved;    // [block][bin]: items of other blocks that go before those of this one
   int capacity;     // most cells a grid may have
-  int padded;       // entries of `start`: one more, rounded up to whole vectors
+  int bins;         // most bins
+  int part;         // items of a block of count_items and split_items: a multiple of 32
 };
+
+/// Bins in use: those of all cells.
+template <class Policy>
+__device__ __forceinline__ int bins_of(const Grid& grid) {
+  return (grid.total + Policy::bin_cells - 1) / Policy::bin_cells;
+}
+
+// Copy to shared memory without a register between: a loop of these has all of them under way.
+__device__ __forceinline__ void copy_async(float4* to, const float4* from) {
+  asm volatile(
+      "cp.async.cg.shared.global [%0], [%1], 16;" ::"r"(static_cast<unsigned>(__cvta_generic_to_shared(to))),
+      "l"(from)
+      : "memory");
+}
+__device__ __forceinline__ void copy_async(int* to, const int* from) {
+  asm volatile(
+      "cp.async.ca.shared.global [%0], [%1], 4;" ::"r"(static_cast<unsigned>(__cvta_generic_to_shared(to))),
+      "l"(from)
+      : "memory");
+}
+// For the thread's own copies.
+__device__ __forceinline__ void wait_for_copies() {
+  asm volatile("cp.async.wait_all;" ::: "memory");
+}
+
+/// Sum of the threads before this one. Called by all threads of the block, once.
+template <int Threads>
+__device__ __forceinline__ int sum_before(int own, int* warps) {
+  const int lane = static_cast<int>(threadIdx.x) % 32, warp = static_cast<int>(threadIdx.x) / 32;
+  int sum = own;
+#pragma unroll
+  for (int offset = 1; offset < 32; offset *= 2) {
+    const int below = __shfl_up_sync(0xffffffffu, sum, offset);
+    if (lane >= offset) sum += below;
+  }
+  if (lane == 31) warps[warp] = sum;
+  __syncthreads();
+  int before = sum - own;
+  for (int w = 0; w < Threads / 32; ++w) {
+    if (w < warp) before += warps[w];
+  }
+  return before;
+}
 
 __device__ __forceinline__ Bounds empty_bounds() {
   const float inf = __int_as_float(0x7f800000);
@@ -200,17 +281,26 @@ __global__ void __launch_bounds__(Policy::bounds_threads)
     find_bounds(const __grid_constant__ Source source, const __grid_constant__ Storage s) {
   __shared__ Bounds warps[Policy::bounds_threads / 32];
   __shared__ bool last_block;
+  allow_next();
   const int first = static_cast<int>(blockIdx.x * blockDim.x + threadIdx.x);
   const int stride = static_cast<int>(gridDim.x * blockDim.x);
-  int4* const counts = reinterpret_cast<int4*>(s.start);
-  for (int c = first; c < s.padded / 4; c += stride) counts[c] = make_int4(0, 0, 0, 0);
+  for (int c = first; c < s.bins; c += stride) s.bin_count[c] = 0;
 
   Bounds b = empty_bounds();
-#pragma unroll 4  // loads of four items in flight
-  for (int i = first; i < source.count; i += stride) {
-    const float3 p = source.position(i);
-    const float radius = source.radius(i);
-    include(b, {{p.x, p.y, p.z}, {p.x, p.y, p.z}, radius, radius});
+  // Loads of four items in flight, also at the end, where the last item is met again.
+  const std::int64_t last = source.count - 1;
+  for (std::int64_t i = first; i <= last; i += 4 * static_cast<std::int64_t>(stride)) {
+    float3 p[4];
+    float radius[4];
+#pragma unroll
+    for (int k = 0; k < 4; ++k) {
+      const int item = static_cast<int>(min(i + k * static_cast<std::int64_t>(stride), last));
+      p[k] = source.position(item);
+      radius[k] = source.radius(item);
+    }
+#pragma unroll
+    for (int k = 0; k < 4; ++k)
+      include(b, {{p[k].x, p[k].y, p[k].z}, {p[k].x, p[k].y, p[k].z}, radius[k], radius[k]});
   }
   b = block_bounds<Policy::bounds_threads>(b, warps);
   if (threadIdx.x == 0) {
@@ -241,39 +331,207 @@ __global__ void __launch_bounds__(Policy::bounds_threads)
 }
 
 template <class Policy, class Source>
-__global__ void __launch_bounds__(Policy::item_threads)
+__global__ void __launch_bounds__(Policy::split_threads)
     count_items(const __grid_constant__ Source source, const __grid_constant__ Storage s) {
-  const int i = static_cast<int>(blockIdx.x * blockDim.x + threadIdx.x);
-  if (i >= source.count) return;
-  s.rank[i] = atomicAdd(s.start + cell_of(*s.grid, source.position(i)), 1);
+  __shared__ int counts[Policy::most_bins];
+  allow_next();
+  wait_for_previous();
+  const int thread = static_cast<int>(threadIdx.x), block = static_cast<int>(blockIdx.x);
+  const Grid grid = *s.grid;
+  const int bins = bins_of<Policy>(grid);
+  for (int b = thread; b < bins; b += Policy::split_threads) counts[b] = 0;
+  __syncthreads();
+  const int begin = block * s.part, end = min(begin + s.part, source.count);
+  for (int i = begin + thread; i < end; i += 4 * Policy::split_threads) {
+    float3 p[4];  // loads of four items in flight
+#pragma unroll
+    for (int k = 0; k < 4; ++k) p[k] = source.position(min(i + k * Policy::split_threads, end - 1));
+#pragma unroll
+    for (int k = 0; k < 4; ++k) {
+      if (i + k * Policy::split_threads < end) atomicAdd(counts + cell_of(grid, p[k]) / Policy::bin_cells, 1);
+    }
+  }
+  __syncthreads();
+  int* const reserved = s.reserved + static_cast<std::size_t>(block) * s.bins;
+  for (int first = thread; first < bins; first += 4 * Policy::split_threads) {
+    int before[4];  // four under way
+#pragma unroll
+    for (int k = 0; k < 4; ++k) {
+      const int b = first + k * Policy::split_threads;
+      before[k] = b < bins ? atomicAdd(s.bin_count + b, counts[b]) : 0;
+    }
+#pragma unroll
+    for (int k = 0; k < 4; ++k) {
+      const int b = first + k * Policy::split_threads;
+      if (b < bins) reserved[b] = before[k];
+    }
+  }
 }
 
 template <class Policy, class Source>
-__global__ void __launch_bounds__(Policy::item_threads)
-    place_items(const __grid_constant__ Source source, const __grid_constant__ Storage s) {
+__global__ void __launch_bounds__(Policy::split_threads, Policy::split_blocks_per_sm)
+    split_items(const __grid_constant__ Source source, const __grid_constant__ Storage s) {
   using Record = typename Source::Record;
-  constexpr int words = static_cast<int>(sizeof(Record) / sizeof(float4));
-  static_assert(sizeof(Record) % sizeof(float4) == 0 && Policy::item_threads % 32 == 0);
-  __shared__ Record staged[Policy::item_threads];
-  const int thread = static_cast<int>(threadIdx.x), lane = thread % 32;
-  const int i = static_cast<int>(blockIdx.x) * Policy::item_threads + thread;
-  int slot = -1;
-  if (i < source.count) {
-    slot = s.start[cell_of(*s.grid, source.position(i))] + __ldcs(s.rank + i);
-    const Record record = source.record(i);
-    staged[thread] = record;
-    source.placed(*s.grid, i, slot, record);
+  constexpr int threads = Policy::split_threads, words = static_cast<int>(sizeof(Record) / sizeof(float4));
+  static_assert(sizeof(Record) % sizeof(float4) == 0 && threads % 32 == 0);
+  extern __shared__ float4 dynamic_shared[];
+  Record* const staged = reinterpret_cast<Record*>(dynamic_shared);
+  int* const next = reinterpret_cast<int*>(staged + threads);  // slot of each bin
+  int* const totals = next + s.bins;                           // and its items
+  __shared__ int warps[threads / 32];
+  const int thread = static_cast<int>(threadIdx.x), lane = thread % 32, block = static_cast<int>(blockIdx.x);
+  allow_next();
+  const int begin = block * s.part, end = min(begin + s.part, source.count);
+  // The next record is under way while one is written; the first also while others are counted.
+  Record ahead = source.record(min(begin + thread, end - 1));
+  wait_for_previous();
+  __shared__ Grid grid;  // registers are short, and global memory is behind the record in the queue
+  if (thread == 0) grid = *s.grid;
+  const int bins = bins_of<Policy>(*s.grid);
+  {
+    // Every block sums up the bins for itself: cheaper than a launch.
+    const int* const reserved = s.reserved + static_cast<std::size_t>(block) * s.bins;
+    for (int b = thread; b < bins; b += threads) {
+      copy_async(next + b, reserved + b);
+      copy_async(totals + b, s.bin_count + b);
+    }
+    wait_for_copies();
+    __syncthreads();
+    const int share = (bins + threads - 1) / threads;
+    const int first = min(thread * share, bins), last = min(first + share, bins);
+    int own = 0;
+    for (int b = first; b < last; ++b) own += totals[b];
+    int slot = sum_before<threads>(own, warps);
+    for (int b = first; b < last; ++b) {
+      next[b] += slot;
+      if (block == 0) s.bin_start[b] = slot;
+      slot += totals[b];
+    }
+    if (block == 0 && thread == 0) s.bin_start[bins] = source.count;
   }
-  __syncwarp();
+  __syncthreads();
   const float4* const from = reinterpret_cast<const float4*>(staged + (thread - lane));
+#pragma unroll 2  // no moves of what is on its way
+  for (int first = begin; first < end; first += threads) {
+    const int i = first + thread;
+    int slot = -1;
+    const Record record = ahead;
+    ahead = source.record(min(i + threads, end - 1));
+    if (i < end) {
+      staged[thread] = record;
+      slot = atomicAdd(next + cell_of(grid, source.position(record)) / Policy::bin_cells, 1);
+    }
+    __syncwarp();
 #pragma unroll
-  for (int k = 0; k < words; ++k) {
-    const int word = k * 32 + lane;
-    const int target = __shfl_sync(0xffffffffu, slot, word / words);
-    if (target < 0) continue;
-    float4* const to = reinterpret_cast<float4*>(source.records + target);
-    to[word % words] = from[word];
+    for (int k = 0; k < words; ++k) {
+      const int word = k * 32 + lane;
+      const int target = __shfl_sync(0xffffffffu, slot, word / words);
+      if (target >= 0) reinterpret_cast<float4*>(source.split + target)[word % words] = from[word];
+    }
+    __syncwarp();  // before the next records are staged
   }
+}
+
+/// Words of a bin's records in shared memory: a row for each number of word, rows in different banks.
+template <class Policy>
+constexpr int bin_row = Policy::bin_items / 8 * 8 + 12;
+
+template <class Policy, class Source>
+__global__ void __launch_bounds__(Policy::bin_threads, Policy::bin_blocks_per_sm)
+    sort_bins(const __grid_constant__ Source source, const __grid_constant__ Storage s) {
+  using Record = typename Source::Record;
+  constexpr int threads = Policy::bin_threads, words = static_cast<int>(sizeof(Record) / sizeof(float4));
+  constexpr int bin_cells = Policy::bin_cells, row = bin_row<Policy>;
+  constexpr int share = (Policy::bin_items + threads - 1) / threads;  // most records of a thread
+  static_assert(bin_cells % 4 == 0 && threads >= bin_cells / 4 && threads % 32 == 0);
+  static_assert(Policy::bin_items <= 65536 && bin_cells <= 65536);
+  allow_next();
+  wait_for_previous();
+  const Grid grid = *s.grid;
+  const int thread = static_cast<int>(threadIdx.x), bin = static_cast<int>(blockIdx.x);
+  const int first_cell = bin * bin_cells;
+  if (first_cell >= grid.total) return;
+  extern __shared__ float4 dynamic_shared[];  // the bin's records as they came
+  __shared__ int4 cell_counts[bin_cells / 4];
+  __shared__ unsigned short order[Policy::bin_items];  // which of them comes to each slot
+  __shared__ int warps[threads / 32];
+  int* const cells = reinterpret_cast<int*>(cell_counts);
+  const int begin = s.bin_start[bin], count = s.bin_start[bin + 1] - begin;
+  const bool fits = count <= Policy::bin_items;
+  const Record* const incoming = source.split + begin;
+  const auto staged = [&](int k) {
+    Record record;
+#pragma unroll
+    for (int w = 0; w < words; ++w) reinterpret_cast<float4*>(&record)[w] = dynamic_shared[w * row + k];
+    return record;
+  };
+  const auto cell_in_bin = [&](const Record& record) {
+    return cell_of(grid, source.position(record)) - first_cell;
+  };
+  const auto place = [&](int slot, const Record& record) {
+#pragma unroll
+    for (int w = 0; w < words; ++w)
+      source.sorted[static_cast<std::size_t>(w) * static_cast<std::size_t>(source.count) +
+                    static_cast<std::size_t>(slot)] = reinterpret_cast<const float4*>(&record)[w];
+    source.placed(grid, slot, record);
+  };
+
+  if (fits) {
+    const float4* const from = reinterpret_cast<const float4*>(incoming);
+    for (int w = thread; w < count * words; w += threads)
+      copy_async(dynamic_shared + w % words * row + w / words, from + w);
+  }
+  if (thread < bin_cells / 4) cell_counts[thread] = make_int4(0, 0, 0, 0);
+  wait_for_copies();
+  __syncthreads();
+  unsigned found[share] = {};  // cells of the thread's records, and ranks in them
+  if (fits) {
+    int rank[share] = {};
+#pragma unroll
+    for (int j = 0; j < share; ++j) {
+      const int k = thread + j * threads;
+      if (k < count) found[j] = static_cast<unsigned>(cell_in_bin(staged(k)));
+    }
+    // All under way before the first is waited for.
+#pragma unroll
+    for (int j = 0; j < share; ++j) {
+      if (thread + j * threads < count) rank[j] = atomicAdd(cells + found[j], 1);
+    }
+#pragma unroll
+    for (int j = 0; j < share; ++j) found[j] |= static_cast<unsigned>(rank[j]) << 16;
+  } else {
+    for (int k = thread; k < count; k += threads) atomicAdd(cells + cell_in_bin(incoming[k]), 1);
+  }
+  __syncthreads();
+
+  int4 counts = make_int4(0, 0, 0, 0);
+  if (thread < bin_cells / 4) counts = cell_counts[thread];
+  const int before = sum_before<threads>(counts.x + counts.y + counts.z + counts.w, warps);
+  if (thread < bin_cells / 4) {
+    const int second = before + counts.x, third = second + counts.y, fourth = third + counts.z;
+    cell_counts[thread] = make_int4(before, second, third, fourth);
+    // Of the last bin also cells that do not exist: the first of these holds the number of items.
+    reinterpret_cast<int4*>(s.start + first_cell)[thread] =
+        make_int4(begin + before, begin + second, begin + third, begin + fourth);
+  }
+  if (thread == 0 && first_cell + bin_cells == grid.total) s.start[grid.total] = source.count;
+  __syncthreads();
+
+  if (!fits) {
+    for (int k = thread; k < count; k += threads) {
+      const Record record = incoming[k];
+      place(begin + atomicAdd(cells + cell_in_bin(record), 1), record);
+    }
+    return;
+  }
+#pragma unroll
+  for (int j = 0; j < share; ++j) {
+    const int k = thread + j * threads;
+    if (k < count)
+      order[cells[found[j] & 0xffffu] + static_cast<int>(found[j] >> 16)] = static_cast<unsigned short>(k);
+  }
+  __syncthreads();
+  for (int k = thread; k < count; k += threads) place(begin + k, staged(order[k]));
 }
 
 }  // namespace detail
@@ -282,47 +540,70 @@ __global__ void __launch_bounds__(Policy::item_threads)
 template <class Policy = DefaultPolicy>
 class NeighbourGrid {
  public:
+  /// For builds of up to `items` items of a Source.
+  template <class Source>
   void allocate(std::int64_t items) {
-    const auto count = static_cast<std::size_t>(items);
-    s_.capacity =
-        static_cast<int>(static_cast<double>(Policy::cells_per_item) * static_cast<double>(items)) + 4096;
-    s_.padded = s_.capacity / 4 * 4 + 4;
-    scan_bytes_ = primitives::exclusive_sum_bytes(s_.padded);
-    blocks_ = static_cast<unsigned>(std::clamp<std::int64_t>(
+    const double wish = static_cast<double>(Policy::cells_per_item) * static_cast<double>(items) + 4096;
+    const int most = Policy::most_bins * Policy::bin_cells;
+    s_.capacity = static_cast<int>(std::min(wish, static_cast<double>(most)));
+    s_.bins = (s_.capacity + Policy::bin_cells - 1) / Policy::bin_cells;
+    const auto part_of = [items](int blocks) { return (items + blocks - 1) / blocks; };
+    s_.part = static_cast<int>((part_of(Policy::split_blocks) + 31) / 32 * 32);
+    bounds_blocks_ = static_cast<unsigned>(std::clamp<std::int64_t>(
         (items + Policy::bounds_threads - 1) / Policy::bounds_threads, 1, Policy::bounds_blocks));
+    const auto bins = static_cast<std::size_t>(s_.bins);
     grid_ = DeviceBuffer<Grid>(1);
-    partial_ = DeviceBuffer<detail::Bounds>(blocks_);
-    start_ = DeviceBuffer<int>(static_cast<std::size_t>(s_.padded));
-    rank_ = DeviceBuffer<int>(count);
-    scan_ = DeviceBuffer<std::byte>(scan_bytes_);
+    partial_ = DeviceBuffer<detail::Bounds>(bounds_blocks_);
+    start_ = DeviceBuffer<int>(bins * Policy::bin_cells + 1);
+    bin_count_ = DeviceBuffer<int>(bins);
+    bin_start_ = DeviceBuffer<int>(bins + 1);
+    reserved_ = DeviceBuffer<int>(bins * Policy::split_blocks);
     s_.grid = grid_.get();
     s_.partial = partial_.get();
     s_.start = start_.get();
-    s_.rank = rank_.get();
+    s_.bin_count = bin_count_.get();
+    s_.bin_start = bin_start_.get();
+    s_.reserved = reserved_.get();
+    GPUPHYS_CUDA(cudaFuncSetAttribute(detail::split_items<Policy, Source>,
+                                      cudaFuncAttributeMaxDynamicSharedMemorySize,
+                                      static_cast<int>(split_bytes<Source>())));
+    GPUPHYS_CUDA(cudaFuncSetAttribute(detail::sort_bins<Policy, Source>,
+                                      cudaFuncAttributeMaxDynamicSharedMemorySize,
+                                      static_cast<int>(bin_bytes<Source>())));
   }
 
   /// Sorts the items of `source` (at least one, at most as many as allocated for).
   template <class Source>
   void build(const Source& source) {
-    const unsigned item_blocks =
-        static_cast<unsigned>((source.count + Policy::item_threads - 1) / Policy::item_threads);
-    detail::find_bounds<Policy><<<blocks_, Policy::bounds_threads>>>(source, s_);
-    detail::count_items<Policy><<<item_blocks, Policy::item_threads>>>(source, s_);
-    primitives::exclusive_sum(scan_.get(), scan_bytes_, s_.start, s_.start, s_.padded);
-    detail::place_items<Policy><<<item_blocks, Policy::item_threads>>>(source, s_);
+    const unsigned parts = static_cast<unsigned>((source.count + s_.part - 1) / s_.part);
+    detail::find_bounds<Policy><<<bounds_blocks_, Policy::bounds_threads>>>(source, s_);
+    launch_dependent(detail::count_items<Policy, Source>, parts, Policy::split_threads, 0, source, s_);
+    launch_dependent(detail::split_items<Policy, Source>, parts, Policy::split_threads, split_bytes<Source>(),
+                     source, s_);
+    launch_dependent(detail::sort_bins<Policy, Source>, static_cast<unsigned>(s_.bins), Policy::bin_threads,
+                     bin_bytes<Source>(), source, s_);
   }
 
+  // For kernels launched after build(): by launch_dependent(), or as usual.
   const Grid* grid() const { return s_.grid; }
   const int* start() const { return s_.start; }  ///< first slot of each cell, and the number of items
 
  private:
+  template <class Source>
+  std::size_t split_bytes() const {
+    return sizeof(typename Source::Record) * Policy::split_threads +
+           2 * sizeof(int) * static_cast<std::size_t>(s_.bins);
+  }
+  template <class Source>
+  static std::size_t bin_bytes() {
+    return sizeof(typename Source::Record) * detail::bin_row<Policy>;
+  }
+
   detail::Storage s_{};
-  unsigned blocks_ = 1;
+  unsigned bounds_blocks_ = 1;
   DeviceBuffer<Grid> grid_;
   DeviceBuffer<detail::Bounds> partial_;
-  DeviceBuffer<int> start_, rank_;
-  DeviceBuffer<std::byte> scan_;
-  std::size_t scan_bytes_ = 0;
+  DeviceBuffer<int> start_, bin_count_, bin_start_, reserved_;
 };
 
 }  // namespace gpuphys::neighbour_grid

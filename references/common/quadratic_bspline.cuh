@@ -19,22 +19,4 @@ __device__ __forceinline__ Weights quadratic(float t) {
   return {{0.5f * low * low, 0.75f - t * t, 0.5f * high * high}, {-low, -2.0f * t, high}};
 }
 
-/// One of the three, chosen at run time without a branch: w = at_zero + curvature d^2 with d = shift + sign
-/// t.
-struct Branch {
-  float shift, sign, at_zero, curvature, slope_factor;
-};
-
-__device__ __forceinline__ Branch quadratic_branch(int node) {
-  if (node == 0) return {0.5f, -1.0f, 0.0f, 0.5f, -1.0f};
-  if (node == 1) return {0.0f, 1.0f, 0.75f, -1.0f, -2.0f};
-  return {0.5f, 1.0f, 0.0f, 0.5f, 1.0f};
-}
-
-__device__ __forceinline__ void evaluate(const Branch& b, float t, float& w, float& slope) {
-  const float d = b.shift + b.sign * t;
-  w = b.at_zero + b.curvature * (d * d);
-  slope = b.slope_factor * d;
-}
-
 }  // namespace gpuphys::bspline

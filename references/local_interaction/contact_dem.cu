@@ -2,25 +2,30 @@
 //
 // For every grain: the grains that overlap it, found through a uniform grid, and the sum of their forces.
 //
-// Mapping: the grains are sorted by cell (references/common/neighbour_grid.cuh) into records of one sector:
-// position, radius, velocity, index. Each sphere is written again as a code of four bytes for the search. A
-// thread owns one grain in the sorted order, so a warp owns a stretch of one column of cells and its
-// candidates of another column are a short run of codes. Every pair is evaluated twice, once from either
-// side, with bitwise opposite results: no atomics, and forces balance to the rounding of each sum.
+// Mapping: the grains are sorted by cell (references/common/neighbour_grid.cuh) as records of one sector:
+// position, radius, velocity, index; the result is two arrays, spheres and motions. Each sphere is written
+// again as a code of four bytes for the search. A thread owns one grain in the sorted order, so a warp owns a
+// stretch of one column of cells and its candidates of another column are a short run of codes. Every pair is
+// evaluated twice, once from either side, with bitwise opposite results: no atomics, and forces balance to
+// the rounding of each sum.
 //
-// What bounds it: random sectors in L2 while sorting (an atomic, a start, a record and a code a grain); waits
-// for L1 and L2 while searching (with 40 warps an SM). A grain meets 8.2 columns of cells and 37 candidates
-// (cells of 1.2 x 1.2 x 0.6 against a reach of 1.15), of which 4.7 touch. What pays:
-// - Whole sectors: two lanes write one record in one instruction.
-// - Codes: a candidate costs one word instead of four (1.9 cache lines a load instead of about 7) and five
-//   instructions: load, add, dp4a, compare, set a bit. The test errs on the side of contact only and passes
-//   0.6 candidates a grain too many; the exact one in FP32 decides.
-// - Loads ahead: the range of the next column while one is searched, the records of two hits at a time.
+// What bounds it: the sort, memory (340 MB in and out, most of it records); the search, instructions and L1.
+// A grain meets 8.2 columns of cells and 37 candidates (cells of 1.2 x 1.2 x 0.6 against a reach of 1.15), of
+// which 4.7 touch. What pays:
+// - Sorting in two levels: atomics and partly written sectors stay in shared memory.
+// - Codes: a candidate costs one word instead of four (1.9 cache lines a load instead of about 7) and four
+//   instructions: load, add, dp4a, shift. The test errs on the side of contact only and passes 0.6 candidates
+//   a grain too many; the exact one in FP32 decides.
+// - Three columns at a time, and six candidates of each without a branch: their loads are under way together.
+//   Two more looks at longer ranges are all that a warp needs on average.
 // - Columns in step: all lanes start at the column before their own, needed or not, so that they read the
 //   same lines at the same time.
-// - Search and force apart: hits are queued in shared memory as bits, a run of candidates an entry, and the
-//   force (about 57 instructions) runs over the queues with most lanes busy: the longest of a warp's 32 holds
-//   6.4. Evaluated inside the search, nearly every candidate would drag its warp through the force.
+// - Search and force apart: hits are queued in shared memory as bits, a column an entry, and the force (about
+//   57 instructions) runs over the queues with most lanes busy: the longest of a warp's 32 holds 6.4.
+//   Evaluated inside the search, nearly every candidate would drag its warp through the force. Nor does the
+//   search keep what only the force needs in registers: they limit the warps of an SM.
+// - Spheres and motions in arrays of their own: what the lanes of a warp gather lies in fewer lines, and in
+//   all banks of L1.
 // The forces go back to the order of the input by scattered writes; three neighbouring lanes write the three
 // words of a grain, so that it costs one or two sectors instead of three requests.
 #include <type_traits>
@@ -36,12 +41,19 @@ namespace {
 struct GridPolicy : neighbour_grid::DefaultPolicy {
   static constexpr int bounds_threads = 256;
   static constexpr int bounds_blocks = 96;
-  static constexpr int item_threads = 128;
+  static constexpr int split_threads = 128;
+  static constexpr int split_blocks = 40;
+  static constexpr int split_blocks_per_sm = 8;
+  static constexpr int bin_cells = 384;
+  static constexpr int bin_items = 352;
+  static constexpr int bin_threads = 128;
+  static constexpr int bin_blocks_per_sm = 8;
   static constexpr int z_cells = 1;
 };
 struct Policy {
   static constexpr int threads = 64;
   static constexpr int at_once = 2;
+  static constexpr int more = 1;
   static constexpr int run = 4;
   static constexpr int queue = 3;
   static constexpr int blocks_per_sm = 16;
@@ -52,13 +64,37 @@ struct Policy {
   // Four columns of the paper's packing: its warps share what they read of the columns between.
   static constexpr int threads = 640;
   static constexpr int at_once = 6;  // candidates tested before the first look at a range's length
-  static constexpr int run = 8;      // and between two looks at the queue; at most 32
-  static constexpr int queue = 8;    // runs with hits a grain may have before they are evaluated in between
+  static constexpr int more = 3;     // and between two looks
+  static constexpr int run = 30;     // of one queue entry: at_once and a multiple of `more`; at most 32
+  static constexpr int queue = 8;  // columns with hits a grain may have before they are evaluated in between
   static constexpr int blocks_per_sm = 2;
 };
 #endif
 
-// A grain, one sector. In the order of the cells.
+constexpr int columns = neighbour_grid::columns_at_a_time;
+static_assert(Policy::run <= 32 && (Policy::run - Policy::at_once) % Policy::more == 0);
+static_assert(Policy::queue >= columns && Policy::threads % 32 == 0);
+// Codes behind the last grain's: they may be read, but are not grains.
+constexpr int padding = Policy::at_once > Policy::more ? Policy::at_once : Policy::more;
+
+// Flushing results too small for the contract spares the code that would scale them.
+__device__ __forceinline__ float approximate_sqrt(float a) {
+  float root;
+  asm("sqrt.approx.ftz.f32 %0, %1;" : "=f"(root) : "f"(a));  // 1 ulp, and 0 for 0
+  return root;
+}
+__device__ __forceinline__ float approximate_rsqrt(float a) {
+  float root;
+  asm("rsqrt.approx.ftz.f32 %0, %1;" : "=f"(root) : "f"(a));
+  return root;
+}
+__device__ __forceinline__ float approximate_inverse(float a) {
+  float inverse;
+  asm("rcp.approx.ftz.f32 %0, %1;" : "=f"(inverse) : "f"(a));
+  return inverse;
+}
+
+// A grain, one sector.
 struct alignas(32) Grain {
   float4 sphere;  // centre, radius
   float4 motion;  // velocity, index in the input as bits
@@ -90,7 +126,7 @@ __device__ __forceinline__ unsigned code_of(const neighbour_grid::Grid& grid, co
   const int z = static_cast<int>(floorf((sphere.z - grid.low[2]) * per_metre));
   const float smaller = grid.largest - sphere.w;
   const float square = smaller * (2.0f * (grid.largest + grid.smallest) - smaller);
-  const int w = static_cast<int>(sqrtf(fmaxf(square, 0.0f)) * per_metre * 0.99999f);  // below 60
+  const int w = static_cast<int>(approximate_sqrt(fmaxf(square, 0.0f)) * per_metre * 0.99999f);  // below 60
   return static_cast<unsigned>(w) | (0u - static_cast<unsigned>(x)) % 256u << 8 |
          (0u - static_cast<unsigned>(y)) % 256u << 16 | (0u - static_cast<unsigned>(z)) << 24;
 }
@@ -119,7 +155,8 @@ struct Grains {
   const float* __restrict__ x;
   const float* __restrict__ v;
   const float* __restrict__ r;
-  Grain* __restrict__ records;
+  Grain* __restrict__ split;
+  float4* __restrict__ sorted;
   unsigned* __restrict__ codes;
   int count;
 
@@ -133,11 +170,14 @@ struct Grains {
     return {make_float4(x[o], x[o + 1], x[o + 2], r[i]),
             make_float4(__ldcs(v + o), __ldcs(v + o + 1), __ldcs(v + o + 2), __int_as_float(i))};
   }
-  __device__ __forceinline__ void placed(const neighbour_grid::Grid& grid, int i, int slot,
+  __device__ __forceinline__ float3 position(const Grain& grain) const {
+    return {grain.sphere.x, grain.sphere.y, grain.sphere.z};
+  }
+  __device__ __forceinline__ void placed(const neighbour_grid::Grid& grid, int slot,
                                          const Grain& grain) const {
     codes[slot] = code_of(grid, grain.sphere);
-    if (i > 0) return;
-    for (int k = 0; k < Policy::at_once; ++k) codes[count + k] = 0;  // may be read, but are not grains
+    if (slot > 0) return;
+    for (int k = 0; k < padding; ++k) codes[count + k] = 0;
   }
 };
 
@@ -146,23 +186,6 @@ struct Grains {
 struct Law {
   float kn, cn;
 };
-
-// Flushing results too small for the contract spares the code that would scale them.
-__device__ __forceinline__ float approximate_sqrt(float a) {
-  float root;
-  asm("sqrt.approx.ftz.f32 %0, %1;" : "=f"(root) : "f"(a));  // 1 ulp, and 0 for 0
-  return root;
-}
-__device__ __forceinline__ float approximate_rsqrt(float a) {
-  float root;
-  asm("rsqrt.approx.ftz.f32 %0, %1;" : "=f"(root) : "f"(a));
-  return root;
-}
-__device__ __forceinline__ float approximate_inverse(float a) {
-  float inverse;
-  asm("rcp.approx.ftz.f32 %0, %1;" : "=f"(inverse) : "f"(a));
-  return inverse;
-}
 
 // Adds to `force` what the grain (sphere, motion) feels from another one, if they touch. Neither the grain
 // itself nor one with the same centre pushes: a direction is missing.
@@ -194,88 +217,130 @@ __device__ __forceinline__ unsigned bit_or_none(int k) {
   return __funnelshift_lc(0u, 1u, static_cast<unsigned>(k));
 }
 
+// The compiler does not know that this is k.
+__device__ __forceinline__ int opaque(int k) {
+  asm volatile("" : "+r"(k));
+  return k;
+}
+
+// Number of the highest bit set.
+__device__ __forceinline__ int highest_bit(int bits) {
+  int k;
+  asm("bfind.u32 %0, %1;" : "=r"(k) : "r"(bits));
+  return k;
+}
+
+// The queue by its address in shared memory, which the compiler would otherwise derive anew at every access,
+// and wait for. Volatile: in this order.
+__device__ __forceinline__ unsigned shared_address(const void* p) {
+  return static_cast<unsigned>(opaque(static_cast<int>(__cvta_generic_to_shared(p))));
+}
+__device__ __forceinline__ void store_shared(unsigned address, int2 entry) {
+  asm volatile("st.shared.v2.b32 [%0], {%1, %2};" ::"r"(address), "r"(entry.x), "r"(entry.y));
+}
+__device__ __forceinline__ int2 load_shared(unsigned address) {
+  int2 entry;
+  asm volatile("ld.shared.v2.b32 {%0, %1}, [%2];" : "=r"(entry.x), "=r"(entry.y) : "r"(address));
+  return entry;
+}
+
 __global__ void __launch_bounds__(Policy::threads, Policy::blocks_per_sm)
-    sum_contacts(const Grain* __restrict__ records, const unsigned* __restrict__ codes,
-                 const neighbour_grid::Grid* __restrict__ grid_in, const int* __restrict__ start,
-                 float* __restrict__ result, Law law, int count) {
+    sum_contacts(const float4* spheres, const float4* motions, const unsigned* codes,
+                 const neighbour_grid::Grid* grid_in, const int* start, float* result, Law law, int count) {
   __shared__ int2 queue[Policy::queue * Policy::threads];
   __shared__ float staged[3 * Policy::threads];
+  __shared__ neighbour_grid::Grid grid;
   const int thread = static_cast<int>(threadIdx.x);
-  const int slot = static_cast<int>(blockIdx.x) * Policy::threads + thread;
+  // From the last slot to the first: what was sorted last is still in L2.
+  const int slot = static_cast<int>(gridDim.x - 1 - blockIdx.x) * Policy::threads + thread;
   float3 force{0.0f, 0.0f, 0.0f};
   int index = -1;
+  // Registers are short: the search reads the grid again and again, and global memory has a queue.
+  if (thread == 0) grid = *grid_in;
+  const float4 sphere = spheres[min(slot, count - 1)];
+  __syncthreads();
   if (slot < count) {
-    const neighbour_grid::Grid& grid = *grid_in;
-    const float4 sphere = records[slot].sphere, motion = records[slot].motion;
     const unsigned probe = probe_of(grid, sphere);
     const int bound = code_bound(grid, sphere.w);
-    index = __float_as_int(motion.w);
-    // Runs of candidates with hits: the first slot, and a bit a hit. Entries thread, thread + threads, ... of
-    // the queue are this thread's own; `top` is the next free one.
-    int2* const mine = queue + thread;
-    int2* top = mine;
+    // Candidates of a column with hits: the slot behind the last one, and a bit a hit. Entries thread, thread
+    // + threads, ... of the queue are this thread's own; `top` is the next free one.
+    constexpr unsigned stride = Policy::threads * sizeof(int2);
+    const unsigned mine = shared_address(queue + thread);
+    unsigned top = 0;
     const auto evaluate = [&]([[maybe_unused]] auto two_at_once) {
-      const int2* entry = mine;
+      // Loaded again, as the search has no registers to spare.
+      const int own = opaque(slot);
+      const Grain grain{spheres[own], motions[own]};
+      if constexpr (decltype(two_at_once)::value) index = __float_as_int(grain.motion.w);  // the last time
+      unsigned entry = 0;
       int2 run{0, 0};
       const auto more = [&] {
         if (run.y == 0 && entry != top) {
-          run = *entry;
-          entry += Policy::threads;
+          run = load_shared(mine + entry);
+          entry += stride;
         }
         return run.y != 0;
       };
       const auto take = [&] {
-        const int bit = 31 - __clz(run.y);
+        const int bit = highest_bit(run.y);
         run.y ^= 1 << bit;
-        return run.x + bit;
+        return run.x - 1 - bit;
       };
       while (more()) {
         const int a = take();
         if constexpr (decltype(two_at_once)::value) {
           // Half as many waits for records. A grain feels nothing from itself.
           const int b = more() ? take() : slot;
-          const Grain first = records[a], second = records[b];
-          add_contact(force, sphere, motion, first.sphere, first.motion, law);
-          add_contact(force, sphere, motion, second.sphere, second.motion, law);
+          const Grain first{spheres[a], motions[a]}, second{spheres[b], motions[b]};
+          add_contact(force, grain.sphere, grain.motion, first.sphere, first.motion, law);
+          add_contact(force, grain.sphere, grain.motion, second.sphere, second.motion, law);
         } else {
-          const Grain other = records[a];
-          add_contact(force, sphere, motion, other.sphere, other.motion, law);
+          const Grain other{spheres[a], motions[a]};
+          add_contact(force, grain.sphere, grain.motion, other.sphere, other.motion, law);
         }
       }
-      top = mine;
+      top = 0;
     };
-    const auto touches = [&](unsigned code) {
+    // Shifts in whether a candidate may touch, as the lowest bit: the sign of a difference.
+    const auto test = [&](unsigned hits, unsigned code) {
       const int bytes = static_cast<int>(probe + code);
-      return __dp4a(bytes, bytes, 0) < bound;
+      return __funnelshift_l(static_cast<unsigned>(__dp4a(bytes, bytes, -bound)), hits, 1);
     };
-    const auto search = [&](int begin, int end) {
-      for (; begin < end; begin += Policy::run) {
-        const unsigned* __restrict__ const from = codes + begin;
-        const int length = end - begin;
-        unsigned hits = 0;
-        const auto test = [&](int k) {
-          if (touches(from[k])) hits |= 1u << k;
-        };
-        // Nearly every step is one that some lane of the warp needs. What lies behind the range is masked
-        // out.
+    const auto make_room = [&] {
+      if (top > (Policy::queue - columns) * stride) evaluate(std::false_type{});
+    };
+    const auto search = [&](const neighbour_grid::Ranges& ranges) {
+      // Nearly every step is one that some lane of the warp needs.
+      unsigned hits[columns];
 #pragma unroll
-        for (int k = 0; k < Policy::at_once; ++k) test(k);
+      for (int c = 0; c < columns; ++c) {
+        hits[c] = 0;
+        const unsigned* const from = codes + ranges.begin[c];
 #pragma unroll
-        for (int k = Policy::at_once; k < Policy::run; k += 2) {
-          if (k >= length) break;
-          test(k);
-          test(k + 1);
+        for (int k = 0; k < Policy::at_once; ++k) hits[c] = test(hits[c], from[k]);
+      }
+#pragma unroll
+      for (int c = 0; c < columns; ++c) {
+        const unsigned* const from = codes + ranges.begin[c];
+        const int length = ranges.end[c] - ranges.begin[c];
+        int tested = Policy::at_once;
+#pragma unroll 1
+        for (; tested < length; tested += Policy::more) {
+#pragma unroll
+          for (int k = 0; k < Policy::more; ++k) hits[c] = test(hits[c], from[tested + k]);
         }
-        const unsigned within = bit_or_none(length) - 1u, self = bit_or_none(slot - begin);
-        hits &= within & ~self;
-        *top = make_int2(begin, static_cast<int>(hits));
-        if (hits != 0) top += Policy::threads;
-        if (top == mine + Policy::queue * Policy::threads) evaluate(std::false_type{});
+        // What lies behind the range is shifted out. The lowest bit stands for the range's last slot.
+        hits[c] >>= tested - length;
+        // The grain itself is mostly in the middle one. Met elsewhere, it is a hit without a force.
+        if (c == columns / 2) hits[c] &= ~bit_or_none(ranges.end[c] - 1 - slot);
+        store_shared(mine + top, make_int2(ranges.end[c], static_cast<int>(hits[c])));
+        if (hits[c] != 0) top += stride;
       }
     };
     // Wider than any pair that passes the test: its sum of radii is rounded, and so is the squared distance.
     const float cutoff = (sphere.w + grid.largest) * 1.00001f;
-    neighbour_grid::visit_ranges(grid, start, {sphere.x, sphere.y, sphere.z}, cutoff, search);
+    neighbour_grid::visit_ranges<Policy::run>(grid, start, {sphere.x, sphere.y, sphere.z}, cutoff, make_room,
+                                              search);
     evaluate(std::true_type{});
   }
   // Lane l of the warp writes words l, l + 32 and l + 64 of the warp's 96: words of one grain side by side.
@@ -298,23 +363,27 @@ class Reference {
   void allocate(const Inputs& in, const Outputs<float>&) {
     const std::int64_t n = in.radius.shape[0];
     if (n > (1 << 30)) throw std::runtime_error("contact_dem: more than 2^30 grains");
-    grid_.allocate(n);
-    records_ = DeviceBuffer<Grain>(static_cast<std::size_t>(n));
-    codes_ = DeviceBuffer<unsigned>(static_cast<std::size_t>(n) + Policy::at_once);
+    grid_.allocate<Grains>(n);
+    split_ = DeviceBuffer<Grain>(static_cast<std::size_t>(n));
+    sorted_ = DeviceBuffer<float4>(2 * static_cast<std::size_t>(n));
+    codes_ = DeviceBuffer<unsigned>(static_cast<std::size_t>(n) + padding);
   }
 
   void compute(const Inputs& in, const Outputs<float>& out) {
     const int n = static_cast<int>(in.radius.shape[0]);
     if (n == 0) return;
     const auto blocks = [n](int threads) { return static_cast<unsigned>((n + threads - 1) / threads); };
-    grid_.build(Grains{in.x.data, in.v.data, in.radius.data, records_.get(), codes_.get(), n});
-    sum_contacts<<<blocks(Policy::threads), Policy::threads>>>(
-        records_.get(), codes_.get(), grid_.grid(), grid_.start(), out.force.data, Law{in.kn, in.cn}, n);
+    grid_.build(Grains{in.x.data, in.v.data, in.radius.data, split_.get(), sorted_.get(), codes_.get(), n});
+    // An ordinary launch: blocks that join those of sort_bins on an SM would get what these leave of L1.
+    sum_contacts<<<blocks(Policy::threads), Policy::threads>>>(sorted_.get(), sorted_.get() + n, codes_.get(),
+                                                               grid_.grid(), grid_.start(), out.force.data,
+                                                               Law{in.kn, in.cn}, n);
   }
 
  private:
   neighbour_grid::NeighbourGrid<GridPolicy> grid_;
-  DeviceBuffer<Grain> records_;
+  DeviceBuffer<Grain> split_;
+  DeviceBuffer<float4> sorted_;
   DeviceBuffer<unsigned> codes_;
 };
 

@@ -4,27 +4,27 @@
 // corotated elasticity; 0 where no mass arrives.
 //
 // Passes over data in random order:
-//   count      a thread for four particles: position -> tile of 4^3 cells; an atomic counts it there
-//   plan       a thread a tile: reserves its slots, cuts its list into pieces, clears node blocks
-//   place      a thread a particle: an atomic takes a slot of its tile's list; stress from F; the packed
-//              record {offset 3, v 3, tau 6, padding 4} goes there, written by four lanes at once
-//   scatter    a block for a piece of a list: sorts it by cell in shared memory; a thread owns one cell and
-//              one of the three node planes along x and sums nine nodes' {mass, momentum} in registers;
-//              columns of cells are added up by shuffles, columns of the tile through shared memory; one
-//              vector reduction for each of the tile's 216 nodes goes out to L2
-//   normalise  a thread for four nodes: divides, writes zeros where no block reached
+//   mark, count, plan, assign   (particle_binning.cuh) a slot of its tile's list, of 4^3 cells, for each
+//              particle; lists cut into pieces, node blocks cleared
+//   place      a thread a particle: stress from F; the packed record {offset 3, v 3, tau 6, padding 4}
+//              goes to its slot, written by four lanes at once
+//   scatter    two warps for a piece of a list: sort it by cell in shared memory; a thread owns a cell and
+//              sums 27 nodes' {mass, momentum} in registers; cells side by side along y and z are added up
+//              by shuffles, along x through shared memory; one vector reduction for each of the tile's 216
+//              nodes goes out to L2. Between pieces: zeros where no particle reaches
+//   normalise  a thread for four nodes that some particle may reach: divides
 //
-// What bounds it (16.86M particles): atomics at L2 in count, some 55 G/s whatever their addresses, and
-// 0.20 GB; DRAM in place, 1.01 GB read and 1.08 GB written at random places; instructions (113 for each of a
-// particle's three planes, half as many again around them) and shared memory wavefronts in scatter, with
-// 1.08 GB read meanwhile; 201 MB written at the end.
+// What bounds it (16.86M particles): DRAM in count (0.24 GB), assign (0.10 GB) and place (1.08 GB read, 1.08
+// GB written at random places); in scatter instructions (271 a particle, some 170 more around them) nearly as
+// much as its 1.08 GB read and 0.18 GB written.
 //
-// What pays: a stress is computed once a particle in a pass that waits for memory anyway; the slots, asked
-// for before it, come meanwhile. A record is two whole sectors and leaves in one instruction: as three
-// 16-byte stores at random places, records kept DRAM busy with row changes (NOTES.md). The next piece's list
-// is on its way while the present one is summed. Summing in registers first leaves about 14 shared stores
-// and 8 loads a cell instead of 864 atomics; factoring the 27 weights (x outside, z inside), with the sum of
-// three nodes in place of the middle one, takes 10 multiply-adds and additions a node for all four sums.
+// What pays: no atomics at L2, 55 G/s whatever their addresses, for counts and slots. A stress near a
+// rotation takes no rotation (fixed_corotated.cuh). A record is two whole sectors and leaves in one
+// instruction: as three 16-byte stores at random places, records kept DRAM busy with row changes (NOTES.md).
+// The next piece's list is on its way while the present one's sums are added up. Summing in registers first
+// leaves some 30 shared accesses a cell instead of 864 atomics; factoring the 27 weights, with the sum of
+// three nodes in place of the middle one along each axis, takes 10 multiply-adds and additions a node and
+// particle for all four sums; one thread for all 27 nodes of a cell reads each record once.
 #include <cuda_pipeline.h>
 
 #include <algorithm>
@@ -44,34 +44,37 @@ using particle_grid::TileGrid;
 using particle_grid::WorkItem;
 
 struct Policy {
-  static constexpr int count_threads = 256;
-  static constexpr int count_per_thread = 4;  // independent atomics in flight
+  static constexpr int mark_threads = 256;
+  static constexpr int mark_stride = 32;  // one row of 32 particles in so many
   static constexpr int plan_threads = 256;
 #ifdef GPUPHYS_OTHER_BLOCKS
+  static constexpr int count_threads = 512;
+  static constexpr int count_per_thread = 3;
+  static constexpr int count_shared = 128 * 1024;  // takes half the tiles of the paper's size
   static constexpr int place_threads = 256;
   static constexpr int place_blocks_per_sm = 4;
   static constexpr int piece = 320;
   static constexpr int scatter_blocks_per_sm = 3;
 #else
+  static constexpr int count_threads = 1024;  // a block an SM: its histogram fills shared memory
+  static constexpr int count_per_thread = 4;
+  static constexpr int count_shared = 195 * 1024;  // leaves 60 KB of L1 to its loads
   static constexpr int place_threads = 128;
   static constexpr int place_blocks_per_sm = 9;  // 36 warps in 56 registers; ten blocks spill
   static constexpr int piece =
       576;  // particles of a tile that a block takes: eight a cell, and room for chance
-  static constexpr int scatter_blocks_per_sm = 4;
+  static constexpr int scatter_blocks_per_sm = 6;
 #endif
   static constexpr int normalise_threads = 256;
 };
 
-constexpr int kPlanes = 3;                                 // nodes a particle reaches along an axis
-constexpr int kSide = kTileSide + kPlanes - 1;             // nodes of a tile with its halo
+constexpr int kReach = 3;                                  // nodes a particle reaches along an axis
+constexpr int kSide = kTileSide + kReach - 1;              // nodes of a tile with its halo
 constexpr int kCells = kTileSide * kTileSide * kTileSide;  // of a tile
-constexpr int kColumns = kTileSide * kTileSide * kPlanes;  // (cell x, cell y, plane)
-constexpr int kScatterThreads = kColumns * kTileSide;      // one for each cell of each column
-constexpr int kRecord = 3;                                 // float4 a particle
-constexpr int kStride = 4;                                 // the same in memory: two whole sectors
+constexpr int kScatterThreads = kCells;
+constexpr int kRecord = 3;  // float4 a particle
+constexpr int kStride = 4;  // the same in memory: two whole sectors
 constexpr int kRounds = (Policy::piece + kScatterThreads - 1) / kScatterThreads;
-constexpr int kWarpColumns = 32 / kTileSide;
-static_assert(kColumns % kWarpColumns == 0, "shuffles need whole columns in a warp");
 
 struct Particles {
   const float* __restrict__ x;
@@ -90,11 +93,14 @@ template <int Width>
 __device__ __forceinline__ void load_rows(const float* __restrict__ rows, std::int64_t first, std::int64_t n,
                                           float (&in_flight)[Width]) {
   const int lane = static_cast<int>(threadIdx.x) % 32;
-  const std::int64_t begin = Width * first, end = Width * n;
+  const float* from = rows + Width * first + lane;
+  if (first + 32 <= n) {
 #pragma unroll
-  for (int s = 0; s < Width; ++s) {
-    const std::int64_t i = begin + s * 32 + lane;
-    in_flight[s] = i < end ? __ldcs(rows + i) : 0.0f;
+    for (int s = 0; s < Width; ++s) in_flight[s] = __ldcs(from + s * 32);
+  } else {
+    const std::int64_t left = Width * (n - first) - lane;
+#pragma unroll
+    for (int s = 0; s < Width; ++s) in_flight[s] = s * 32 < left ? __ldcs(from + s * 32) : 0.0f;
   }
 }
 
@@ -117,7 +123,7 @@ __device__ __forceinline__ void transpose_rows(float* __restrict__ stage, float 
 
 __global__ void __launch_bounds__(Policy::place_threads, Policy::place_blocks_per_sm)
     place(const __grid_constant__ TileGrid grid, const __grid_constant__ Particles particles, Moduli moduli,
-          int* __restrict__ next, float4* __restrict__ records) {
+          const int* __restrict__ slots, int* __restrict__ next, float4* __restrict__ records) {
   constexpr int per_warp = 32 * (3 + 3 + 9);
   constexpr int per_store = 32 / kStride;  // records that a warp writes at once
   __shared__ __align__(16) float staging[Policy::place_threads / 32][per_warp];
@@ -125,6 +131,7 @@ __global__ void __launch_bounds__(Policy::place_threads, Policy::place_blocks_pe
   const int lane = static_cast<int>(threadIdx.x) % 32;
   const std::int64_t p = static_cast<std::int64_t>(blockIdx.x) * Policy::place_threads + threadIdx.x;
   const std::int64_t first = p - lane;
+  int slot = p < particles.n ? __ldcs(slots + p) : particle_grid::kNoSlot;
   float x[3], v[3], f[9];
   load_rows(particles.x, first, particles.n, x);
   load_rows(particles.v, first, particles.n, v);
@@ -132,9 +139,10 @@ __global__ void __launch_bounds__(Policy::place_threads, Policy::place_blocks_pe
   transpose_rows(stage, x);
   const particle_grid::Place at = particle_grid::locate(grid, x[0], x[1], x[2]);
   const int tile = particle_grid::listed_tile(at, p, particles.n);
-  // Nothing waits for the answer until the record is written: the stress hides it.
-  const int slot = tile >= 0 ? atomicAdd(next + tile, 1) : -1;
-  // What the stress does not need waits in the lane's own rows: registers decide how many warps are resident.
+  // Rare: nothing waits for the answer until the record is written.
+  if (slot < 0 && tile >= 0) slot = atomicAdd(next + tile, 1);
+    // What the stress does not need waits in the lane's own rows: registers decide how many warps are
+    // resident.
 #pragma unroll
   for (int d = 0; d < 3; ++d) stage[lane * 3 + d] = at.offset[d];
   stage_rows(stage + 32 * 3, v);
@@ -166,62 +174,60 @@ __global__ void __launch_bounds__(Policy::place_threads, Policy::place_blocks_pe
   }
 }
 
-constexpr int kFetchRecords = kScatterThreads / kRecord;  // that the block's threads fetch at once
-constexpr int kFetches = (Policy::piece + kFetchRecords - 1) / kFetchRecords;
-static_assert(kScatterThreads % kRecord == 0);
-
-// Sums of the cell columns: [node along y, of the cell's three][node along z, of the tile's six][column].
-constexpr int kPlaneColumns = kColumns + 1;  // padded: nodes along z lie in different banks
-constexpr int kRowSums = kSide * kPlaneColumns;
-
-// Memory for the list of a piece; later the sums of the cell columns.
-struct ListMemory {
-  float4 data[std::max(kRecord * Policy::piece, kPlanes* kRowSums)];
-};
+// Sums of the cells' y-z-rows: [node plane along x, of the cell's three][cell along x][node along y][z].
+constexpr int kRowNodes = kSide * kSide;
+constexpr int kRows = kReach * kTileSide;
 
 struct ScatterShared {
-  ListMemory lists[2];  // one in work, one on its way
+  float4 list[kRecord * Policy::piece];
+  float4 sums[kRows * kRowNodes];
   int counts[kCells];
   int starts[kCells + 1];
   unsigned short order[Policy::piece];
 };
 
-// Sums of one thread: nine nodes, {mass, momentum}, mass in units of a particle's. While particles are being
-// added, index 1 of y and z stands for the sum over the three nodes along that axis: three weights add up to
-// 1 and three slopes to 0, so that it takes no weight. resolve() leaves the middle node there. No digits
-// matter: the middle weight is 1/2 to 3/4 of the three.
+// Sums of one thread: the 27 nodes of its cell, {mass, momentum}, mass in units of a particle's. While
+// particles are being added, index 1 stands for the sum over the three nodes along that axis: three weights
+// add up to 1 and three slopes to 0, so that it takes no weight. resolve() leaves the middle node there. No
+// digits matter: the middle weight is 1/2 to 3/4 of the three.
 struct Sums {
-  float s[kPlanes][kPlanes][4];  // [node along y][node along z]
+  float s[kReach][kReach][kReach][4];  // [node along x][y][z]
 };
 
-__device__ __forceinline__ void add_particle(Sums& sums, const bspline::Branch& branch,
-                                             const float (&centre)[3], const float4& a, const float4& b,
-                                             const float4& c) {
-  float wx, slope_x;
-  bspline::evaluate(branch, a.x - centre[0], wx, slope_x);
-  const bspline::Weights y = bspline::quadratic(a.y - centre[1]), z = bspline::quadratic(a.z - centre[2]);
+__device__ __forceinline__ void add_particle(Sums& sums, const float (&centre)[3], const float4& a,
+                                             const float4& b, const float4& c) {
+  const bspline::Weights x = bspline::quadratic(a.x - centre[0]), y = bspline::quadratic(a.y - centre[1]),
+                         z = bspline::quadratic(a.z - centre[2]);
   const float velocity[3] = {a.w, b.x, b.y};
   const float tau[3][3] = {{b.z, c.y, c.z}, {c.y, b.w, c.w}, {c.z, c.w, c.x}};
 #pragma unroll
-  for (int oy = 0; oy < kPlanes; ++oy) {
-    const float wxy = oy == 1 ? wx : wx * y.w[oy];
-    sums.s[oy][0][0] += wxy * z.w[0];
-    sums.s[oy][1][0] += wxy;
-    sums.s[oy][2][0] += wxy * z.w[2];
+  for (int ox = 0; ox < kReach; ++ox) {
+    const float wx = ox == 1 ? 1.0f : x.w[ox];
+#pragma unroll
+    for (int oy = 0; oy < kReach; ++oy) {
+      const float wxy = oy == 1 ? wx : wx * y.w[oy];
+      sums.s[ox][oy][0][0] += wxy * z.w[0];
+      sums.s[ox][oy][1][0] += wxy;
+      sums.s[ox][oy][2][0] += wxy * z.w[2];
+    }
   }
 #pragma unroll
   for (int d = 0; d < 3; ++d) {
-    const float along_x = wx * velocity[d] + slope_x * tau[d][0];
-    const float along_y = wx * tau[d][1], along_z = wx * tau[d][2];
 #pragma unroll
-    for (int oy = 0; oy < kPlanes; ++oy) {
-      const float plain = oy == 1 ? along_x : y.w[oy] * along_x + y.slope[oy] * along_y;
-      const float sloped = oy == 1 ? along_z : y.w[oy] * along_z;
-      sums.s[oy][0][1 + d] += z.w[0] * plain;
-      sums.s[oy][0][1 + d] += z.slope[0] * sloped;
-      sums.s[oy][1][1 + d] += plain;
-      sums.s[oy][2][1 + d] += z.w[2] * plain;
-      sums.s[oy][2][1 + d] += z.slope[2] * sloped;
+    for (int ox = 0; ox < kReach; ++ox) {
+      const float along_x = ox == 1 ? velocity[d] : x.w[ox] * velocity[d] + x.slope[ox] * tau[d][0];
+      const float along_y = ox == 1 ? tau[d][1] : x.w[ox] * tau[d][1];
+      const float along_z = ox == 1 ? tau[d][2] : x.w[ox] * tau[d][2];
+#pragma unroll
+      for (int oy = 0; oy < kReach; ++oy) {
+        const float plain = oy == 1 ? along_x : y.w[oy] * along_x + y.slope[oy] * along_y;
+        const float sloped = oy == 1 ? along_z : y.w[oy] * along_z;
+        sums.s[ox][oy][0][1 + d] += z.w[0] * plain;
+        sums.s[ox][oy][0][1 + d] += z.slope[0] * sloped;
+        sums.s[ox][oy][1][1 + d] += plain;
+        sums.s[ox][oy][2][1 + d] += z.w[2] * plain;
+        sums.s[ox][oy][2][1 + d] += z.slope[2] * sloped;
+      }
     }
   }
 }
@@ -230,9 +236,23 @@ __device__ __forceinline__ void resolve(Sums& sums) {
 #pragma unroll
   for (int q = 0; q < 4; ++q) {
 #pragma unroll
-    for (int oy = 0; oy < kPlanes; ++oy) sums.s[oy][1][q] -= sums.s[oy][0][q] + sums.s[oy][2][q];
+    for (int one = 0; one < kReach; ++one) {
 #pragma unroll
-    for (int oz = 0; oz < kPlanes; ++oz) sums.s[1][oz][q] -= sums.s[0][oz][q] + sums.s[2][oz][q];
+      for (int two = 0; two < kReach; ++two)
+        sums.s[one][two][1][q] -= sums.s[one][two][0][q] + sums.s[one][two][2][q];
+    }
+#pragma unroll
+    for (int one = 0; one < kReach; ++one) {
+#pragma unroll
+      for (int two = 0; two < kReach; ++two)
+        sums.s[one][1][two][q] -= sums.s[one][0][two][q] + sums.s[one][2][two][q];
+    }
+#pragma unroll
+    for (int one = 0; one < kReach; ++one) {
+#pragma unroll
+      for (int two = 0; two < kReach; ++two)
+        sums.s[1][one][two][q] -= sums.s[0][one][two][q] + sums.s[2][one][two][q];
+    }
   }
 }
 
@@ -242,33 +262,54 @@ __device__ __forceinline__ void copy_async(unsigned to_shared, const float4* fro
   asm volatile("cp.async.cg.shared.global [%0], [%1], 16;" : : "r"(to_shared), "l"(from) : "memory");
 }
 
-// Asks for the records of a piece: three threads a record, nothing of the padding.
-__device__ __forceinline__ void fetch(ListMemory& list, const float4* __restrict__ records, int first,
+// An address that the compiler cannot look into: it keeps it, and adds constants to it, where it would
+// compute each of many related ones anew.
+__device__ __forceinline__ unsigned opaque_shared(const float4* shared) {
+  unsigned address;
+  asm volatile("cvt.u32.u64 %0, %1;" : "=r"(address) : "l"(__cvta_generic_to_shared(shared)));
+  return address;
+}
+
+__device__ __forceinline__ const float4* opaque(const float4* from) {
+  const float4* address;
+  asm volatile("mov.u64 %0, %1;" : "=l"(address) : "l"(from));
+  return address;
+}
+
+// Asks for the records of a piece, nothing of the padding. As many records as threads take three copies each,
+// at addresses that differ from those of the records before by constants.
+__device__ __forceinline__ void fetch(ScatterShared& shared, const float4* __restrict__ records, int first,
                                       int count) {
   const int thread = static_cast<int>(threadIdx.x);
-  const int record = thread / kRecord, part = thread % kRecord;
-  const float4* from = records + static_cast<std::int64_t>(kStride) * (first + record) + part;
-  const auto to = static_cast<unsigned>(__cvta_generic_to_shared(list.data + thread));
+  const unsigned to = opaque_shared(shared.list + thread);
 #pragma unroll
-  for (int s = 0; s < kFetches; ++s) {
-    if (record + s * kFetchRecords < count)
-      copy_async(to + s * kScatterThreads * sizeof(float4), from + s * kStride * kFetchRecords);
+  for (int third = 0; third < kRecord; ++third) {
+    const int copy = thread + third * kScatterThreads;
+    const int record = copy / kRecord, part = copy % kRecord, left = count - record;
+    const float4* from = opaque(records + part + static_cast<std::int64_t>(first + record) * kStride);
+#pragma unroll
+    for (int s = 0; s < kRounds; ++s) {
+      if (s * kScatterThreads < left) {
+        copy_async(to + (kRecord * s + third) * kScatterThreads * sizeof(float4),
+                   from + s * kStride * kScatterThreads);
+      }
+    }
   }
   __pipeline_commit();
 }
 
 // Sorts the piece's records by cell: order[starts[cell] ..) lists them.
-__device__ __forceinline__ void sort_by_cell(ScatterShared& shared, const ListMemory& list, int count) {
+__device__ __forceinline__ void sort_by_cell(ScatterShared& shared, int count) {
   const int thread = static_cast<int>(threadIdx.x);
-  int cell[kRounds], rank[kRounds];
+  unsigned cell_and_rank[kRounds];
 #pragma unroll
   for (int s = 0; s < kRounds; ++s) {
     const int p = thread + s * kScatterThreads;
     if (p < count) {
-      const float4 a = list.data[kRecord * p];
-      cell[s] = (particle_grid::cell_of(a.x) * kTileSide + particle_grid::cell_of(a.y)) * kTileSide +
-                particle_grid::cell_of(a.z);
-      rank[s] = atomicAdd(&shared.counts[cell[s]], 1);
+      const float4 a = shared.list[kRecord * p];
+      const int cell = (particle_grid::cell_of(a.x) * kTileSide + particle_grid::cell_of(a.y)) * kTileSide +
+                       particle_grid::cell_of(a.z);
+      cell_and_rank[s] = static_cast<unsigned>(atomicAdd(&shared.counts[cell], 1) * kCells + cell);
     }
   }
   __syncthreads();
@@ -288,115 +329,162 @@ __device__ __forceinline__ void sort_by_cell(ScatterShared& shared, const ListMe
 #pragma unroll
   for (int s = 0; s < kRounds; ++s) {
     const int p = thread + s * kScatterThreads;
-    if (p < count) shared.order[shared.starts[cell[s]] + rank[s]] = static_cast<unsigned short>(p);
+    if (p < count) {
+      const unsigned cell = cell_and_rank[s] % kCells, rank = cell_and_rank[s] / kCells;
+      shared.order[shared.starts[cell] + rank] = static_cast<unsigned short>(p);
+    }
   }
   __syncthreads();
 }
 
-// Adds up a column's four cells (eight lanes apart) and leaves its six nodes in shared memory.
-__device__ __forceinline__ void store_columns(ListMemory& list, const Sums& sums, int column, int cell_z) {
+// Adds up four cells side by side along an axis, `Lanes` apart: `low` becomes the cell's lowest node, in
+// full; in the last of the cells, so do `middle` and `high`.
+template <int Lanes>
+__device__ __forceinline__ void add_along(int cell, float& low, float& middle, float& high) {
+  const float high_below = __shfl_up_sync(0xffffffffu, high, Lanes);
+  if (cell > 0) middle += high_below;
+  const float middle_below = __shfl_up_sync(0xffffffffu, middle, Lanes);
+  if (cell > 0) low += middle_below;
+}
+
+// Adds up the cells of each y-z-plane of the tile and leaves their nodes in shared memory. Along y cells are
+// one lane apart, along z eight.
+__device__ __forceinline__ void store_rows(ScatterShared& shared, Sums& sums, int cell_x, int cell_y,
+                                           int cell_z) {
 #pragma unroll
-  for (int oy = 0; oy < kPlanes; ++oy) {
-    float own[4], next[4];  // node cell_z, complete; node cell_z + 1 without the cell above's lowest plane
+  for (int ox = 0; ox < kReach; ++ox) {
 #pragma unroll
     for (int q = 0; q < 4; ++q) {
-      const float top_below = __shfl_up_sync(0xffffffffu, sums.s[oy][2][q], kWarpColumns);
-      next[q] = sums.s[oy][1][q] + (cell_z > 0 ? top_below : 0.0f);
-      const float next_below = __shfl_up_sync(0xffffffffu, next[q], kWarpColumns);
-      own[q] = sums.s[oy][0][q] + (cell_z > 0 ? next_below : 0.0f);
-    }
-    float4* nodes = list.data + oy * kRowSums + cell_z * kPlaneColumns + column;
-    nodes[0] = make_float4(own[0], own[1], own[2], own[3]);
-    if (cell_z == kTileSide - 1) {
-      nodes[kPlaneColumns] = make_float4(next[0], next[1], next[2], next[3]);
-      nodes[2 * kPlaneColumns] =
-          make_float4(sums.s[oy][2][0], sums.s[oy][2][1], sums.s[oy][2][2], sums.s[oy][2][3]);
-    }
-  }
-}
-
-// Adds up the columns that reach each node of the tile and its halo, and adds the node to the grid.
-__device__ __forceinline__ void flush_nodes(const ListMemory& list, const TileGrid& grid, const int4& tile,
-                                            float4* __restrict__ accumulators) {
-  for (int node = static_cast<int>(threadIdx.x); node < kSide * kSide * kSide; node += kScatterThreads) {
-    const int x = node / (kSide * kSide), y = node / kSide % kSide, z = node % kSide;
-    const float4* base = list.data + z * kPlaneColumns;
-    float4 sum = make_float4(0.0f, 0.0f, 0.0f, 0.0f);
 #pragma unroll
-    for (int ox = 0; ox < kPlanes; ++ox) {
+      for (int oy = 0; oy < kReach; ++oy)
+        add_along<8>(cell_z, sums.s[ox][oy][0][q], sums.s[ox][oy][1][q], sums.s[ox][oy][2][q]);
 #pragma unroll
-      for (int oy = 0; oy < kPlanes; ++oy) {
-        const int cx = x - ox, cy = y - oy;
-        if (cx < 0 || cx >= kTileSide || cy < 0 || cy >= kTileSide) continue;
-        const int column = (cx * kTileSide + cy) * kPlanes + ox;
-        const float4 part = base[oy * kRowSums + column];
-        sum.x += part.x;
-        sum.y += part.y;
-        sum.z += part.z;
-        sum.w += part.w;
+      for (int oz = 0; oz < kReach; ++oz)
+        add_along<1>(cell_y, sums.s[ox][0][oz][q], sums.s[ox][1][oz][q], sums.s[ox][2][oz][q]);
+    }
+    float4* nodes = shared.sums + (ox * kTileSide + cell_x) * kRowNodes + cell_y * kSide + cell_z;
+#pragma unroll
+    for (int oy = 0; oy < kReach; ++oy) {
+#pragma unroll
+      for (int oz = 0; oz < kReach; ++oz) {
+        if ((oy > 0 && cell_y != kTileSide - 1) || (oz > 0 && cell_z != kTileSide - 1)) continue;
+        const float(&node)[4] = sums.s[ox][oy][oz];
+        nodes[oy * kSide + oz] = make_float4(node[0], node[1], node[2], node[3]);
       }
     }
-    if (!(sum.x > 0.0f)) continue;
-    const int i = kTileSide * tile.x - 2 + x, j = kTileSide * tile.y - 2 + y, k = kTileSide * tile.z - 2 + z;
-    if (i < 0 || i >= grid.nodes[0] || j < 0 || j >= grid.nodes[1] || k < 0 || k >= grid.nodes[2]) continue;
-    const int block = grid.tile(tile.x + x / kTileSide, tile.y + y / kTileSide, tile.z + z / kTileSide);
-    const int local = (x % kTileSide * kTileSide + y % kTileSide) * kTileSide + z % kTileSide;
-    particle_grid::reduce_add(accumulators + static_cast<std::size_t>(block) * kTileNodes + local, sum);
   }
 }
 
-__global__ void __launch_bounds__(kScatterThreads, Policy::scatter_blocks_per_sm)
-    scatter(const __grid_constant__ TileGrid grid, const WorkItem* __restrict__ items,
-            const int* __restrict__ item_count, const float4* __restrict__ records,
-            float4* __restrict__ accumulators) {
-  extern __shared__ float4 memory[];
-  ScatterShared& shared = *reinterpret_cast<ScatterShared*>(memory);
-  const int thread = static_cast<int>(threadIdx.x);
-  // Neighbouring lanes share cells, three planes each: they read the same records.
-  const int cell_z = thread % 32 / kWarpColumns, column = thread / 32 * kWarpColumns + thread % kWarpColumns;
-  const int plane = column % kPlanes, cell_xy = column / kPlanes;
-  const int cell = cell_xy * kTileSide + cell_z;
-  const bspline::Branch branch = bspline::quadratic_branch(plane);
-  // The middle node of the cell's three, from the tile's first.
-  const float centre[3] = {static_cast<float>(cell_xy / kTileSide + 1),
-                           static_cast<float>(cell_xy % kTileSide + 1), static_cast<float>(cell_z + 1)};
-  const int n_items = *item_count, step = static_cast<int>(gridDim.x);
-  int i = static_cast<int>(blockIdx.x);
-  if (i >= n_items) return;
-  int count = items[i].count;
-  fetch(shared.lists[0], records, items[i].first, count);
-  for (int buffer = 0;; buffer ^= 1) {
-    ListMemory& list = shared.lists[buffer];
-    if (thread < kCells) shared.counts[thread] = 0;
-    const int next = i + step;
-    const int next_first = next < n_items ? items[next].first : 0;
-    const int next_count = next < n_items ? items[next].count : 0;
-    __pipeline_wait_prior(0);
-    __syncthreads();  // the list is there, and the other list's sums are read
-    sort_by_cell(shared, list, count);
-    fetch(shared.lists[buffer ^ 1], records, next_first, next_count);
-
-    Sums sums{};
-    const int last = shared.starts[cell + 1];
-    for (int q = shared.starts[cell]; q < last; ++q) {
-      const float4* record = list.data + kRecord * shared.order[q];
-      add_particle(sums, branch, centre, record[0], record[1], record[2]);
+// Adds up the planes that meet in each node of the tile and its halo, and adds the node to the grid.
+__device__ __forceinline__ void flush_nodes(const ScatterShared& shared, const TileGrid& grid,
+                                            const int4& tile, float4* __restrict__ accumulators) {
+  for (int node = static_cast<int>(threadIdx.x); node < kSide * kSide * kSide; node += kScatterThreads) {
+    const unsigned at = static_cast<unsigned>(node);
+    const unsigned x = at / kRowNodes, y = at / kSide % kSide, z = at % kSide;
+    float4 sum = make_float4(0.0f, 0.0f, 0.0f, 0.0f);
+#pragma unroll
+    for (unsigned ox = 0; ox < kReach; ++ox) {
+      if (x - ox >= kTileSide) continue;  // the cell along x
+      // Node x of the tile in plane ox of cell x - ox: (ox * kTileSide + x - ox) rows of nodes on.
+      const float4 part = shared.sums[at + ox * (kTileSide - 1) * kRowNodes];
+      sum.x += part.x;
+      sum.y += part.y;
+      sum.z += part.z;
+      sum.w += part.w;
     }
-    const int4 tile = items[i].tile;
-    resolve(sums);
-    __syncthreads();  // the list is read: its memory takes the sums
-    store_columns(list, sums, column, cell_z);
-    __syncthreads();
-    flush_nodes(list, grid, tile, accumulators);
-    if (next >= n_items) break;
-    i = next;
-    count = next_count;
+    if (!(sum.x > 0.0f)) continue;
+    // A node outside the array has a place in its block all the same, unless the block is missing too.
+    const int block_x = tile.x + static_cast<int>(x / kTileSide),
+              block_y = tile.y + static_cast<int>(y / kTileSide),
+              block_z = tile.z + static_cast<int>(z / kTileSide);
+    if (block_x >= grid.tiles[0] || block_y >= grid.tiles[1] || block_z >= grid.tiles[2]) continue;
+    const auto block = static_cast<unsigned>(grid.tile(block_x, block_y, block_z));
+    const unsigned local = (x % kTileSide * kTileSide + y % kTileSide) * kTileSide + z % kTileSide;
+    particle_grid::reduce_add(accumulators + (static_cast<std::size_t>(block) * kTileNodes + local), sum);
   }
 }
 
 struct Result {
   float* __restrict__ u[3];
 };
+
+// Zeros where no block of particles reaches: row j of the node blocks tile_x, row = (tile_x, j).
+__device__ __forceinline__ void clear_row(const TileGrid& grid, const unsigned char* __restrict__ touched,
+                                          const Result& result, int row) {
+  const int tile_x = row / grid.nodes[1], j = row - tile_x * grid.nodes[1];
+  const unsigned char* blocks = touched + grid.tile(tile_x, (j + 2) / kTileSide, 0);
+  constexpr int at_once = 4;
+  const int first = max(kTileSide * tile_x - 2, 0), end = min(kTileSide * tile_x + 2, grid.nodes[0]);
+  for (int k = static_cast<int>(threadIdx.x); k < grid.nodes[2]; k += at_once * kScatterThreads) {
+    bool clear[at_once];
+#pragma unroll
+    for (int s = 0; s < at_once; ++s) {
+      const int node = k + s * kScatterThreads;
+      clear[s] = node < grid.nodes[2] && blocks[(node + 2) / kTileSide] == 0;
+    }
+#pragma unroll 1
+    for (int i = first; i < end; ++i) {
+      const std::int64_t at = (static_cast<std::int64_t>(i) * grid.nodes[1] + j) * grid.nodes[2] + k;
+#pragma unroll
+      for (int d = 0; d < 3; ++d) {
+#pragma unroll
+        for (int s = 0; s < at_once; ++s) {
+          if (clear[s]) __stcs(result.u[d] + at + s * kScatterThreads, 0.0f);
+        }
+      }
+    }
+  }
+}
+
+__global__ void __launch_bounds__(kScatterThreads, Policy::scatter_blocks_per_sm)
+    scatter(const __grid_constant__ TileGrid grid, const WorkItem* __restrict__ items,
+            const int* __restrict__ item_count, const float4* __restrict__ records,
+            float4* __restrict__ accumulators, const unsigned char* __restrict__ touched,
+            const __grid_constant__ Result result) {
+  extern __shared__ float4 memory[];
+  ScatterShared& shared = *reinterpret_cast<ScatterShared*>(memory);
+  const int thread = static_cast<int>(threadIdx.x);
+  const int cell_y = thread % 4, cell_x = thread / 32 * 2 + thread / 4 % 2, cell_z = thread / 8 % 4;
+  const int cell = (cell_x * kTileSide + cell_y) * kTileSide + cell_z;
+  // The middle node of the cell's three, from the tile's first.
+  const float centre[3] = {static_cast<float>(cell_x + 1), static_cast<float>(cell_y + 1),
+                           static_cast<float>(cell_z + 1)};
+  const int n_items = *item_count, step = static_cast<int>(gridDim.x);
+  const int rows = grid.tiles[0] * grid.nodes[1];
+  int row = static_cast<int>(blockIdx.x);
+  int i = static_cast<int>(blockIdx.x);
+  int count = i < n_items ? items[i].count : 0;
+  if (i < n_items) fetch(shared, records, items[i].first, count);
+  while (i < n_items) {
+    shared.counts[thread] = 0;
+    const int next = i + step;
+    const int next_first = next < n_items ? items[next].first : 0;
+    const int next_count = next < n_items ? items[next].count : 0;
+    // The list is on its way: time for the part of the array that no particle reaches.
+    if (row < rows) clear_row(grid, touched, result, row);
+    row += step;
+    __pipeline_wait_prior(0);
+    __syncthreads();  // the list is there
+    sort_by_cell(shared, count);
+
+    Sums sums{};
+    const int last = shared.starts[cell + 1];
+    for (int q = shared.starts[cell]; q < last; ++q) {
+      const float4* record = shared.list + kRecord * shared.order[q];
+      add_particle(sums, centre, record[0], record[1], record[2]);
+    }
+    const int4 tile = items[i].tile;
+    __syncthreads();  // the list is read, and the sums before
+    fetch(shared, records, next_first, next_count);
+    resolve(sums);
+    store_rows(shared, sums, cell_x, cell_y, cell_z);
+    __syncthreads();
+    flush_nodes(shared, grid, tile, accumulators);
+    i = next;
+    count = next_count;
+  }
+  for (; row < rows; row += step) clear_row(grid, touched, result, row);
+}
 
 // One thread for node (j, k) of four consecutive planes i: the ones of a node block.
 __global__ void __launch_bounds__(Policy::normalise_threads)
@@ -410,11 +498,10 @@ __global__ void __launch_bounds__(Policy::normalise_threads)
   const int block = grid.tile(tile_x, (j + 2) / kTileSide, (k + 2) / kTileSide);
   const int local = (j + 2) % kTileSide * kTileSide + (k + 2) % kTileSide;
   const float4* nodes = accumulators + static_cast<std::size_t>(block) * kTileNodes + local;
-  const bool any = touched[block] != 0;
+  if (touched[block] == 0) return;  // scatter() left zeros
   float4 node[kTileSide];
 #pragma unroll
-  for (int s = 0; s < kTileSide; ++s)
-    node[s] = any ? __ldcs(nodes + s * kTileSide * kTileSide) : make_float4(0.0f, 0.0f, 0.0f, 0.0f);
+  for (int s = 0; s < kTileSide; ++s) node[s] = __ldcs(nodes + s * kTileSide * kTileSide);
 #pragma unroll
   for (int s = 0; s < kTileSide; ++s) {
     const int i = kTileSide * tile_x - 2 + s;
@@ -432,12 +519,16 @@ class Reference {
   void allocate(const Inputs& in, const Outputs<float>& out) {
     const std::int64_t n = in.x.shape[0];
     const TileGrid grid = grid_of(in, out);
-    bins_ = particle_grid::Binning(grid, n, Policy::piece);
-    records_ = DeviceBuffer<float4>(static_cast<std::size_t>(kStride * n));
-    accumulators_ = DeviceBuffer<float4>(static_cast<std::size_t>(grid.tile_count()) * kTileNodes);
-    int device = 0, processors = 0, resident = 0;
+    int device = 0, processors = 0, resident = 0, shared = 0;
     GPUPHYS_CUDA(cudaGetDevice(&device));
     GPUPHYS_CUDA(cudaDeviceGetAttribute(&processors, cudaDevAttrMultiProcessorCount, device));
+    GPUPHYS_CUDA(cudaDeviceGetAttribute(&shared, cudaDevAttrMaxSharedMemoryPerBlockOptin, device));
+    shared = std::min(shared, Policy::count_shared) - 1024;  // for what the kernel declares by itself
+    bins_ = particle_grid::Binning(grid, n, Policy::piece, static_cast<std::size_t>(shared), processors);
+    GPUPHYS_CUDA(cudaFuncSetAttribute(count, cudaFuncAttributeMaxDynamicSharedMemorySize, shared));
+    GPUPHYS_CUDA(cudaFuncSetAttribute(assign, cudaFuncAttributeMaxDynamicSharedMemorySize, shared));
+    records_ = DeviceBuffer<float4>(static_cast<std::size_t>(kStride * n));
+    accumulators_ = DeviceBuffer<float4>(static_cast<std::size_t>(grid.tile_count()) * kTileNodes);
     GPUPHYS_CUDA(cudaFuncSetAttribute(scatter, cudaFuncAttributeMaxDynamicSharedMemorySize,
                                       static_cast<int>(sizeof(ScatterShared))));
     GPUPHYS_CUDA(cudaFuncSetAttribute(scatter, cudaFuncAttributePreferredSharedMemoryCarveout,
@@ -450,30 +541,39 @@ class Reference {
   void compute(const Inputs& in, const Outputs<float>& out) {
     const std::int64_t n = in.x.shape[0];
     const TileGrid grid = grid_of(in, out);
-    const BinningView bins = bins_.view();
+    const BinningView& bins = bins_.view();
     const auto blocks = [](std::int64_t items, int per_block) {
       return static_cast<unsigned>(std::max<std::int64_t>(1, (items + per_block - 1) / per_block));
     };
     bins_.clear();
-    constexpr int per_block = Policy::count_threads * Policy::count_per_thread;
-    particle_grid::count_particles<Policy::count_threads, Policy::count_per_thread>
-        <<<blocks(n, per_block), Policy::count_threads>>>(grid, in.x.data, n, bins.counts);
+    const auto parts = static_cast<unsigned>(bins.parts);
+    particle_grid::mark_tiles<Policy::mark_threads, Policy::mark_stride>
+        <<<blocks(n, Policy::mark_threads * Policy::mark_stride), Policy::mark_threads>>>(grid, bins,
+                                                                                          in.x.data, n);
+    count<<<parts, Policy::count_threads, particle_grid::count_shared_bytes(bins)>>>(grid, bins, in.x.data,
+                                                                                     n);
     particle_grid::plan_tiles<Policy::plan_threads>
         <<<blocks(grid.tile_count(), Policy::plan_threads), Policy::plan_threads>>>(grid, bins, Policy::piece,
                                                                                     accumulators_.get());
+    assign<<<parts, Policy::count_threads, sizeof(int) * static_cast<std::size_t>(bins.indexed)>>>(bins, n);
     const Particles particles{in.x.data, in.v.data, in.F.data, n};
     const float impulse = -in.dt * (in.V0 / in.mass_p) / in.dx;
     const Moduli moduli{2.0f * in.mu * impulse, in.lambda * impulse};
-    place<<<blocks(n, Policy::place_threads), Policy::place_threads>>>(grid, particles, moduli, bins.next,
-                                                                       records_.get());
+    place<<<blocks(n, Policy::place_threads), Policy::place_threads>>>(grid, particles, moduli, bins.slots,
+                                                                       bins.next, records_.get());
+    const Result result{{out.ux.data, out.uy.data, out.uz.data}};
     scatter<<<static_cast<unsigned>(scatter_blocks_), kScatterThreads, sizeof(ScatterShared)>>>(
-        grid, bins.items, bins.cursors + 1, records_.get(), accumulators_.get());
+        grid, bins.items, bins.cursors + 1, records_.get(), accumulators_.get(), bins.touched, result);
     const std::int64_t columns = static_cast<std::int64_t>(grid.tiles[0]) * grid.nodes[1] * grid.nodes[2];
     normalise<<<blocks(columns, Policy::normalise_threads), Policy::normalise_threads>>>(
-        grid, bins.touched, accumulators_.get(), Result{{out.ux.data, out.uy.data, out.uz.data}});
+        grid, bins.touched, accumulators_.get(), result);
   }
 
  private:
+  static constexpr auto count =
+      particle_grid::count_particles<Policy::count_threads, Policy::count_per_thread>;
+  static constexpr auto assign = particle_grid::assign_slots<Policy::count_threads>;
+
   static TileGrid grid_of(const Inputs& in, const Outputs<float>& out) {
     return particle_grid::make_tile_grid(out.ux.shape[0], out.ux.shape[1], out.ux.shape[2], in.dx);
   }

@@ -1,22 +1,27 @@
 // solve_constraint_xpbd: 8 Jacobi iterations of compliant distance constraints, averaged by valence, FP32.
 //
-// Particles and springs come in random order. Particles are renumbered along a Morton curve; springs are
-// sorted into rows, one a particle, each spring in the rows of both ends, by bins of 1024 particles in shared
-// memory (spring_rows.cuh). An iteration then gathers: `lanes` threads a particle read its row, fetch the
-// other ends, and add up the particle's displacement. Multipliers live beside the row entries and are
-// advanced identically at both ends, so there are no atomics and no second pass.
+// Particles and springs come in random order. Particles are renumbered along a Morton curve
+// (spatial_order.cuh); 1024 consecutive ones make a tile, and each spring is sorted into the rows of both
+// ends in their tiles (spring_tiles.cuh). In an iteration a block takes a tile: it loads the tile's
+// particles and their neighbours outside (the halo) into shared memory, two threads a particle read its
+// row, fetch the other ends from there, and add up the particle's displacement. The state of a spring
+// lives beside the row entries and is advanced identically at both ends, so there are no atomics and no
+// second pass.
 //
-// Positions are held as input plus displacement: differences of inputs are exact or nearly so, displacements
-// of a centimetre keep their digits, and one addition at the end rounds.
+// Positions are held as input plus displacement: differences of inputs are exact or nearly so,
+// displacements of a centimetre keep their digits, and one addition at the end rounds.
 //
-// What bounds it (n = 1.05 million, m = 6.28 million, 12.56 million half-springs; times predicted): an
-// iteration streams 8 + 4 + 4 bytes a half-spring and 32 + 32 bytes a particle, 268 MB, 0.063 ms; and the L1
-// looks up a line for each random particle, about 0.06 ms. Sorting moves 477 MB and gathers 12.56 million
-// numbers, 0.3 ms. Measured by ncu on an H100 (3.0 TB/s): 262 MB and 0.09-0.107 ms an iteration, device
-// memory 70-76 %. What pays: the sector-sized particle (position, inverse mass, displacement and valence of a
-// neighbour in one access), fetched by two lanes together, which halves the look-ups; whole sectors stored;
-// the Morton curve, so that most neighbours are in the L1 or the L2; and multisplits in shared memory in
-// place of random stores, with runs of whole records, in one array, long against a sector.
+// What bounds it (n = 1.05 million, m = 6.28 million, 12.56 million half-springs; counted): an
+// iteration moves 2 + 4 + 4 bytes a half-spring and 32 + 32 bytes a particle of device memory, and 43
+// MB of halos out of the L2, 0.05 ms; and shared memory needs about 21 cycles a multiprocessor for the
+// other ends of 32 half-springs (random 16-byte reads meet in 2.6 of 8 groups of banks), with
+// everything else 95 thousand cycles, 0.05 ms. NOTES.md has what was measured. Sorting moves 360 MB and
+// gathers 12.56 million numbers out of the L2 (0.1 ms).
+// What pays: halos, so that no half-spring looks beyond shared memory and 16 bits name its other end;
+// one number of state, the rest length shifted by the multiplier; rows interleaved so that a warp reads
+// 32 neighbours; particles copied to shared memory past the registers, all in flight together; a sort
+// that writes each chunk as it is and lets the tile collect its runs (one pass over the springs, no
+// scan); whole sectors stored.
 #include "cases/position_constraint/solve_constraint_xpbd.hpp"
 
 #include <climits>
@@ -32,79 +37,78 @@ namespace {
 
 struct Policy {
 #ifdef GPUPHYS_OTHER_BLOCKS
-  static constexpr int threads = 256;
-  static constexpr int lanes = 8;
+  using Tile = springs::TileShape<9, 8, 256>;
+  static constexpr int project_threads = 256;
+  static constexpr int project_at_once = 4;
   static constexpr int unroll = 2;
-  static constexpr int blocks = 100;
-  static constexpr int count_threads = 256;
-  static constexpr int split_merged = 4;
   static constexpr int split_threads = 256;
   static constexpr int split_items = 4;
+  static constexpr int split_blocks = 400;
   static constexpr bool wide_records = true;
-  static constexpr int bin_shift = 9;
-  static constexpr int sort_threads = 512;
-  static constexpr int sort_capacity = 6000;
+  static constexpr int build_threads = 512;
+  static constexpr int build_capacity = 6144;
 #else
-  static constexpr int threads = 128;
-  static constexpr int lanes = 4;     // a row of 12 half-springs is three full turns
-  static constexpr int unroll = 3;    // and all of them are in flight at once
-  static constexpr int blocks = 264;  // that sort a share of the springs: two a multiprocessor
-  static constexpr int count_threads = 1024;
-  static constexpr int split_merged = 2;
+  using Tile = springs::TileShape<10, 2, 1600>;  // a row of 12 half-springs is six full turns of 2 threads
+  static constexpr int project_threads = 512;
+  static constexpr int project_at_once = 2;  // blocks a multiprocessor, 84 KB of shared memory each
+  static constexpr int unroll = 3;
   static constexpr int split_threads = 1024;
-  static constexpr int split_items = 8;  // 16384 half-springs sorted in 160 KB of shared memory
+  static constexpr int split_items = 8;     // 16384 half-springs sorted in 128 KB of shared memory
+  static constexpr int split_blocks = 132;  // one a multiprocessor of an H200
   static constexpr bool wide_records = false;
-  static constexpr int bin_shift = 10;  // 1024 particles a bin, about 12 thousand half-springs
-  static constexpr int sort_threads = 1024;
-  static constexpr int sort_capacity = 13312;  // half-springs, 104 KB: two blocks a multiprocessor
+  static constexpr int build_threads = 1024;
+  static constexpr int build_capacity = 13056;  // half-springs; two blocks a multiprocessor
 #endif
 };
-
-unsigned blocks_for(int items) {
-  return static_cast<unsigned>((items + Policy::threads - 1) / Policy::threads);
-}
 
 class Reference {
  public:
   void allocate(const Inputs& in, const Outputs<float>&) {
     const std::int64_t n = in.x.shape[0], m = in.rest.shape[0];
-    // Half-springs and lanes are counted in int.
-    if (n > INT_MAX / 16 || m > INT_MAX / 4)
+    // Threads and places of half-springs, filled up to slices, are counted in int.
+    if (n > INT_MAX / 16 || m > INT_MAX / 16)
       throw std::runtime_error("more particles or springs than 32 bits count");
     n_ = static_cast<int>(n);
     m_ = static_cast<int>(m);
-    rows_ = springs::HalfSprings<Policy>(n_, m_);
+    tiles_ = springs::SpringTiles<Policy>(n_, m_);
     order_ = spatial::Order(n_);
-    multiplier_ = DeviceBuffer<float>(2 * static_cast<std::size_t>(m));
+    shifted_rest_ = DeviceBuffer<float>(tiles_.places());
     for (DeviceBuffer<springs::Particle>& p : particles_) {
       p = DeviceBuffer<springs::Particle>(static_cast<std::size_t>(n));
     }
+    GPUPHYS_CUDA(cudaFuncSetAttribute(project, cudaFuncAttributeMaxDynamicSharedMemorySize,
+                                      static_cast<int>(springs::project_bytes<Policy::Tile>())));
   }
 
   void compute(const Inputs& in, const Outputs<float>& out) {
     if (n_ == 0) return;
-    order_.build(in.x.data, n_, Policy::threads);
+    order_.build(in.x.data, n_);
     springs::Particle* now = particles_[0].get();
     springs::Particle* next = particles_[1].get();
-    rows_.build(reinterpret_cast<const int2*>(in.springs.data), in.rest.data, order_.number(), order_.order(),
-                in.x.data, in.inv_mass.data, now);
+    tiles_.build(reinterpret_cast<const int2*>(in.springs.data), in.rest.data, in.x.data, in.inv_mass.data,
+                 order_.cell_and_place(), order_.first(), now);
     const float dt = in.dt;
     const float alpha = in.compliance / (dt * dt);
     const int iterations = in.iters;
     for (int k = 0; k < iterations; ++k) {
-      springs::project<Policy::lanes, Policy::unroll><<<blocks_for(n_ * Policy::lanes), Policy::threads>>>(
-          now, next, rows_.begin(), rows_.half(), multiplier_.get(), n_, alpha, k == 0, k == iterations - 1,
-          k % 2 == 1);
+      project<<<static_cast<unsigned>(tiles_.tiles()), Policy::project_threads,
+                springs::project_bytes<Policy::Tile>()>>>(now, next, tiles_.view(), shifted_rest_.get(), n_,
+                                                          alpha, k == 0, k == iterations - 1, k % 2 == 1);
       std::swap(now, next);
     }
-    springs::write_positions<<<blocks_for(n_), Policy::threads>>>(now, order_.number(), n_, out.x_new.data);
+    constexpr int threads = 256;
+    springs::write_positions<<<static_cast<unsigned>((n_ + threads - 1) / threads), threads>>>(
+        now, tiles_.number(), n_, out.x_new.data);
   }
 
  private:
+  static constexpr auto project =
+      springs::project<Policy::Tile, Policy::project_threads, Policy::project_at_once, Policy::unroll>;
+
   int n_ = 0, m_ = 0;
-  springs::HalfSprings<Policy> rows_;
+  springs::SpringTiles<Policy> tiles_;
   spatial::Order order_;
-  DeviceBuffer<float> multiplier_;
+  DeviceBuffer<float> shifted_rest_;
   DeviceBuffer<springs::Particle> particles_[2];
 };
 

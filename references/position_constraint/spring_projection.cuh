@@ -1,14 +1,17 @@
 // Jacobi projection of distance constraints over unordered topology, shared by the XPBD references.
 //
-// A spring appears twice, once in the list of each of its ends (a compressed row of half-springs a particle),
-// and is evaluated twice: every particle gathers its own displacement, so that no iteration needs atomics and
-// the result of an end depends on nothing but its row. Both evaluations of a multiplier take the same
-// operations on operands that differ in sign only, so the two copies stay bitwise equal.
+// A spring appears twice, once in the row of each of its ends (spring_tiles.cuh), and is evaluated twice:
+// every particle gathers its own displacement, so that no iteration needs atomics and the result of an end
+// depends on nothing but its row. Both evaluations of a multiplier take the same operations on operands that
+// differ in sign only, so the two copies stay bitwise equal.
+//
+// The multiplier enters the constraint only together with the rest length, as -(|d| - (rest - alpha lambda)):
+// what is kept of a spring is this shifted rest length, one number to read and one to write.
 #pragma once
 
 #include <cstdint>
 
-#include "references/position_constraint/spring_rows.cuh"
+#include "references/position_constraint/spring_tiles.cuh"
 
 namespace gpuphys::springs {
 
@@ -30,9 +33,10 @@ __device__ __forceinline__ float reciprocal_root(float a) {
 }
 
 /// Change of a spring's multiplier in one iteration, before averaging (XPBD equation 18).
-__device__ __forceinline__ float multiplier_step(float violation, float multiplier, float alpha,
+/// `shifted_rest` is rest - alpha lambda.
+__device__ __forceinline__ float multiplier_step(float length, float shifted_rest, float alpha,
                                                  float inv_mass_sum, float valence) {
-  return -(violation + alpha * multiplier) * reciprocal((inv_mass_sum + alpha) * valence);
+  return -(length - shifted_rest) * reciprocal((inv_mass_sum + alpha) * valence);
 }
 
 /// Square root and its reciprocal of a positive normal number, each within about one unit in the last place.
@@ -54,91 +58,135 @@ __global__ void write_positions(const Particle* __restrict__ particles,
   x[3 * q + 2] = p.base.z + p.step.z;
 }
 
-/// One Jacobi iteration: `Lanes` threads a particle share its row, `Unroll` half-springs each at a time.
-/// Reads the particles of `now`, writes those of `next`. The first iteration takes all multipliers as zero
-/// instead of reading them, the last does not write them.
+/// Shared memory of project, bytes. The displacements begin in other banks than the positions.
+template <class Shape>
+constexpr std::size_t project_bytes() {
+  return sizeof(float4) * (2 * Shape::kHeld + 4) + sizeof(int) * Shape::kSlices;
+}
+
+/// One Jacobi iteration, a block a tile: particles of the tile and its halo come to shared memory, then a
+/// warp a slice goes through its rows, `Unroll` half-springs a thread at a time. `shifted` has the shifted
+/// rest lengths, from the second iteration on.
 ///
-/// `backward`: the blocks go through the particles from the end. Iterations take turns, so that each begins
-/// with what the L2 still holds of the one before.
-///
-/// Even lanes work on `base` and odd ones on `step`: a pair of lanes fetches both half-springs' other ends
-/// one after the other, each a whole sector in one access, subtracts, and exchanges what the partner needs.
-template <int Lanes, int Unroll>
-__global__ void project(const Particle* __restrict__ now, Particle* __restrict__ next,
-                        const int* __restrict__ begin, const HalfSpring* __restrict__ half,
-                        float* __restrict__ multiplier, int n, float alpha, bool first, bool last,
-                        bool backward) {
-  static_assert(Lanes >= 2 && Lanes <= 32 && (Lanes & (Lanes - 1)) == 0, "pairs of lanes within a warp");
+/// `backward`: the blocks go through the tiles from the end. Iterations take turns, so that each begins with
+/// what the L2 still holds of the one before.
+template <class Shape, int Threads, int BlocksAtOnce, int Unroll>
+__global__ void __launch_bounds__(Threads, BlocksAtOnce)
+    project(const Particle* __restrict__ now, Particle* __restrict__ next, const Tiles springs,
+            float* __restrict__ shifted, int n, float alpha, bool first, bool last, bool backward) {
   constexpr unsigned all = 0xffffffffu;
-  const unsigned block = backward ? gridDim.x - 1 - blockIdx.x : blockIdx.x;
-  const int i = static_cast<int>((block * static_cast<unsigned>(blockDim.x) + threadIdx.x) / Lanes);
-  const int lane = static_cast<int>(threadIdx.x) % Lanes;
-  const int odd = lane & 1;
-  const bool live = i < n;
-  const int me = live ? i : 0;
-  const float4* const part = reinterpret_cast<const float4*>(now) + odd;  // part[2 p]: of particle p
-  const float4 self = part[2 * me];
-  const float partner_w = __shfl_xor_sync(all, self.w, 1);
-  const float inv_mass = odd ? partner_w : self.w, own_valence = odd ? self.w : partner_w;
-  const int row_begin = live ? begin[me] : 0, row_end = live ? begin[me + 1] : 0;
-  float3 sum = make_float3(0.0f, 0.0f, 0.0f);
-  // The lanes of a warp go round together, for the longest of its rows: they exchange.
-  for (int row = row_begin + lane; __any_sync(all, row - lane < row_end); row += Lanes * Unroll) {
-    HalfSpring spring[Unroll];
-    float old[Unroll];
+  constexpr int lanes = Shape::kLanes, rows = Shape::kRows;
+  extern __shared__ int4 pool[];
+  float4* const base = reinterpret_cast<float4*>(pool);
+  float4* const step = base + Shape::kHeld + 4;
+  int* const slice = reinterpret_cast<int*>(step + Shape::kHeld);
+  const int tid = static_cast<int>(threadIdx.x);
+  const int tile = static_cast<int>(backward ? gridDim.x - 1 - blockIdx.x : blockIdx.x);
+  const int low = tile << Shape::kShift, particles = min(Shape::kParticles, n - low);
+  const float4* const part = reinterpret_cast<const float4*>(now);
+#pragma unroll 4
+  for (int k = tid; k < 2 * particles; k += Threads) (k & 1 ? step : base)[k / 2] = part[2 * low + k];
+  for (int k = tid; k < Shape::kSlices; k += Threads) slice[k] = springs.slice[tile * Shape::kSlices + k];
+  // Two threads fetch a particle of the halo, a whole sector in one access.
+  const int outside = springs.halo_count[tile];
+  const std::int32_t* const halo = springs.halo + tile * Shape::kHalo;
+#pragma unroll 4
+  for (int k = tid; k < 2 * outside; k += Threads)
+    (k & 1 ? step : base)[Shape::kParticles + k / 2] = part[2 * halo[k / 2] + (k & 1)];
+  __syncthreads();
+
+  const float* const from = first ? springs.rest : shifted;
+  const int lane = tid % 32, row_lane = lane % lanes;
+  for (int s = tid / 32; s * rows < particles; s += Threads / 32) {
+    const int own = s * rows + lane / lanes;
+    const bool live = own < particles;
+    const int me = live ? own : s * rows;
+    const float4 own_base = base[me], own_step = step[me];
+    const int own_valence = __float_as_int(own_step.w);
+    const int length_of_row = live ? own_valence : 0;
+    const int longest = static_cast<int>(__reduce_max_sync(all, static_cast<unsigned>(length_of_row)));
+    const int code = slice[s];
+    int place = code + lane, pitch = 32;  // of the row's half-spring `row_lane`; to the one `lanes` further
+    if (code % 2 == 1) {                  // rows one after the other
+      int through = row_lane == 0 ? length_of_row : 0;
 #pragma unroll
-    for (int u = 0; u < Unroll; ++u) {
-      const int at = row + u * Lanes;
-      spring[u] = {me, 0.0f};  // past the end of the row: a particle's spring to itself, which does nothing
-      old[u] = 0.0f;
-      if (at < row_end) {
-        spring[u] = half[at];
-        if (!first) old[u] = multiplier[at];
+      for (int d = 1; d < 32; d *= 2) {
+        const int below = __shfl_up_sync(all, through, d);
+        if (lane >= d) through += below;
       }
+      place = code - 1 + through - length_of_row + row_lane;
+      pitch = lanes;
     }
-    float4 even_part[Unroll], odd_part[Unroll];
+    float3 sum = make_float3(0.0f, 0.0f, 0.0f);
+    for (int k0 = row_lane; k0 - row_lane < longest; k0 += lanes * Unroll, place += pitch * Unroll) {
+      int other[Unroll];
+      float shifted_rest[Unroll];
 #pragma unroll
-    for (int u = 0; u < Unroll; ++u) {
-      const int partner_other = __shfl_xor_sync(all, spring[u].other, 1);
-      even_part[u] = part[2 * (odd ? partner_other : spring[u].other)];
-      odd_part[u] = part[2 * (odd ? spring[u].other : partner_other)];
-    }
+      for (int u = 0; u < Unroll; ++u) {
+        const int at = place + u * pitch;
+        other[u] = me;  // past the end of the row: a particle's spring to itself, which does nothing
+        shifted_rest[u] = 0.0f;
+        if (k0 + u * lanes < length_of_row) {
+          other[u] = __ldcs(springs.local + at);
+          shifted_rest[u] = from[at];
+        }
+      }
+      float4 other_base[Unroll], other_step[Unroll];
+      bool far = false;
 #pragma unroll
-    for (int u = 0; u < Unroll; ++u) {
-      const int at = row + u * Lanes;
-      const float4 mine = odd ? odd_part[u] : even_part[u], yours = odd ? even_part[u] : odd_part[u];
-      const float dx = (self.x - mine.x) + __shfl_xor_sync(all, self.x - yours.x, 1);
-      const float dy = (self.y - mine.y) + __shfl_xor_sync(all, self.y - yours.y, 1);
-      const float dz = (self.z - mine.z) + __shfl_xor_sync(all, self.z - yours.z, 1);
-      const float received = __shfl_xor_sync(all, yours.w, 1);
-      const float other_inv_mass = odd ? received : mine.w, other_valence = odd ? mine.w : received;
-      const float square = dx * dx + dy * dy + dz * dz;
-      const float inv_mass_sum = inv_mass + other_inv_mass;
-      float change = 0.0f, per_metre = 0.0f;
-      if (square >= kLeastSquare && inv_mass_sum > 0.0f) {
+      for (int u = 0; u < Unroll; ++u) {
+        const bool away = other[u] == kFar;
+        const int held = away ? me : other[u];
+        other_base[u] = base[held];
+        other_step[u] = step[held];
+        far |= away;
+      }
+      if (far) {
+#pragma unroll
+        for (int u = 0; u < Unroll; ++u) {
+          if (other[u] != kFar) continue;
+          const int particle = springs.far[place + u * pitch];
+          other_base[u] = part[2 * particle];
+          other_step[u] = part[2 * particle + 1];
+        }
+      }
+#pragma unroll
+      for (int u = 0; u < Unroll; ++u) {
+        const float dx = (own_base.x - other_base[u].x) + (own_step.x - other_step[u].x);
+        const float dy = (own_base.y - other_base[u].y) + (own_step.y - other_step[u].y);
+        const float dz = (own_base.z - other_base[u].z) + (own_step.z - other_step[u].z);
+        const float square = dx * dx + dy * dy + dz * dz;
+        const float inv_mass_sum = own_base.w + other_base[u].w;
         float length, inverse;
         length_of(square, length, inverse);
-        const float valence = fmaxf(own_valence, other_valence);
-        change = multiplier_step(length - spring[u].rest, old[u], alpha, inv_mass_sum, valence);
-        per_metre = change * inverse;
+        const auto valence = static_cast<float>(max(own_valence, __float_as_int(other_step[u].w)));
+        float change = multiplier_step(length, shifted_rest[u], alpha, inv_mass_sum, valence);
+        float per_metre = change * inverse;
+        // Whatever came out for coincident or pinned ends is dropped here: cheaper than a branch.
+        const bool acts = square >= kLeastSquare && inv_mass_sum > 0.0f;
+        change = acts ? change : 0.0f;
+        per_metre = acts ? per_metre : 0.0f;
+        sum.x += per_metre * dx;
+        sum.y += per_metre * dy;
+        sum.z += per_metre * dz;
+        if (!last && k0 + u * lanes < length_of_row)
+          shifted[place + u * pitch] = shifted_rest[u] - alpha * change;
       }
-      sum.x += per_metre * dx;
-      sum.y += per_metre * dy;
-      sum.z += per_metre * dz;
-      if (!last && at < row_end) multiplier[at] = old[u] + change;
     }
-  }
 #pragma unroll
-  for (int step = Lanes / 2; step > 0; step /= 2) {
-    sum.x += __shfl_xor_sync(all, sum.x, step);
-    sum.y += __shfl_xor_sync(all, sum.y, step);
-    sum.z += __shfl_xor_sync(all, sum.z, step);
+    for (int d = lanes / 2; d > 0; d /= 2) {
+      sum.x += __shfl_xor_sync(all, sum.x, d);
+      sum.y += __shfl_xor_sync(all, sum.y, d);
+      sum.z += __shfl_xor_sync(all, sum.z, d);
+    }
+    if (!live || row_lane > 1) continue;
+    // Two threads write the particle's whole sector: the base too, or the L2 would have to read it first.
+    const bool odd = row_lane == 1;
+    const float4 self = odd ? own_step : own_base;
+    const float w = odd ? own_base.w : 0.0f;
+    reinterpret_cast<float4*>(next)[2 * (low + own) + (odd ? 1 : 0)] =
+        make_float4(self.x + w * sum.x, self.y + w * sum.y, self.z + w * sum.z, self.w);
   }
-  if (!live || lane > 1) return;
-  // Two lanes write the particle's whole sector: the base too, or the L2 would have to read it first.
-  const float w = odd ? inv_mass : 0.0f;
-  reinterpret_cast<float4*>(next)[2 * i + odd] =
-      make_float4(self.x + w * sum.x, self.y + w * sum.y, self.z + w * sum.z, self.w);
 }
 
 }  // namespace gpuphys::springs
