@@ -61,8 +61,8 @@ struct Policy {
 #endif
   static constexpr int edge_blocks_of_sm = 2048 / edge_threads;
   static constexpr int edge_blocks =
-      132 * edge_blocks_of_sm;              // at most, each thread then takes several edges
-  static constexpr int large_chunk = 1024;  // candidates of a large box that a warp takes at a time
+      132 * edge_blocks_of_sm;               // at most, each thread then takes several edges
+  static constexpr int large_chunk = 1024;   // candidates of a large box that a warp takes at a time
   static constexpr int resident_warps = 24;  // of `impacts` on an SM: 80 registers a thread
   static constexpr int impact_threads = 32 * warps;
   static constexpr int resident_blocks = 132 * resident_warps / warps;

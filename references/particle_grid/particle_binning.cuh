@@ -10,8 +10,7 @@
 // a few:
 //   mark_tiles       one row of 32 particles in so many marks the tiles it finds
 //   count_particles  a block for a contiguous part of the particles, an SM each: numbers the marked tiles,
-//   looks
-//                    its particles' tiles up and counts them, all in shared memory
+//                    looks its particles' tiles up and counts them, all in shared memory
 //   plan_tiles       adds up the parts' counts, reserves slots, gives each part its first slot of each tile
 //   assign_slots     a block a part again: slots from counters in shared memory
 // and whoever writes the records reads the slots. Particles whose tile the sample missed, or for whose tile
