@@ -9,9 +9,9 @@
 // evaluated twice, once from either side, with bitwise opposite results: no atomics, and forces balance to
 // the rounding of each sum.
 //
-// What bounds it: the sort, memory (340 MB in and out, most of it records); the search, instructions and L1.
-// A grain meets 8.2 columns of cells and 37 candidates (cells of 1.2 x 1.2 x 0.6 against a reach of 1.15), of
-// which 4.7 touch. What pays:
+// What bounds it: the sort, waits for memory (300 MB in and out by ncu, most of it records, at half the rate
+// of a copy: NOTES.md); the search, instructions and L1. A grain meets 8.2 columns of cells and 37 candidates
+// (cells of 1.2 x 1.2 x 0.6 against a reach of 1.15), of which 4.7 touch. What pays:
 // - Sorting in two levels: atomics and partly written sectors stay in shared memory.
 // - Codes: a candidate costs one word instead of four (1.9 cache lines a load instead of about 7) and four
 //   instructions: load, add, dp4a, shift. The test errs on the side of contact only and passes 0.6 candidates

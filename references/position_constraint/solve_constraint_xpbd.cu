@@ -19,9 +19,8 @@
 // gathers 12.56 million numbers out of the L2 (0.1 ms).
 // What pays: halos, so that no half-spring looks beyond shared memory and 16 bits name its other end;
 // one number of state, the rest length shifted by the multiplier; rows interleaved so that a warp reads
-// 32 neighbours; particles copied to shared memory past the registers, all in flight together; a sort
-// that writes each chunk as it is and lets the tile collect its runs (one pass over the springs, no
-// scan); whole sectors stored.
+// 32 neighbours; a sort that writes each chunk as it is and lets the tile collect its runs (one pass over
+// the springs, no scan); whole sectors stored.
 #include "cases/position_constraint/solve_constraint_xpbd.hpp"
 
 #include <climits>
