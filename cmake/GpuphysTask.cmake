@@ -85,8 +85,10 @@ function(gpuphys_add_task task family)
 
   # The FP64 truth, and FP32 builds with and without contraction: known-correct variants that need no GPU.
   gpuphys_serial_module(${task} baseline_f64 ${baseline} REAL double FLAGS -ffp-contract=off)
-  gpuphys_serial_module(${task} baseline_f32 ${baseline} REAL float FLAGS -ffp-contract=off)
-  gpuphys_serial_module(${task} baseline_f32_fma ${baseline} REAL float FLAGS -ffp-contract=fast -mfma)
+  if(GPUPHYS_SERIAL_VARIANTS)
+    gpuphys_serial_module(${task} baseline_f32 ${baseline} REAL float FLAGS -ffp-contract=off)
+    gpuphys_serial_module(${task} baseline_f32_fma ${baseline} REAL float FLAGS -ffp-contract=fast -mfma)
+  endif()
 
   if(GPUPHYS_HAS_CUDA)
     gpuphys_module(${task} reference ${reference} LIBRARIES gpuphys_primitives)
@@ -120,7 +122,7 @@ function(gpuphys_add_task task family)
       set(mutated_reference ${copy}/references/${family}/${task}.cu)
     endif()
     # A patch plants its fault where it has a hunk; that every patch has both is for the inventory test to say.
-    if(touched MATCHES "serial_baselines/")
+    if(touched MATCHES "serial_baselines/" AND GPUPHYS_SERIAL_VARIANTS)
       gpuphys_serial_module(${task} serial_mutant.${fault} ${mutated_baseline} REAL float FLAGS -ffp-contract=off
                             INCLUDE ${copy} DEPENDS patched_${task}_${fault})
     endif()

@@ -2,6 +2,7 @@
 
 #include <fmt/format.h>
 #include <fmt/ranges.h>
+#include <sys/mman.h>
 
 #include <cmath>
 #include <cstdlib>
@@ -17,6 +18,19 @@ std::vector<std::string> split(const std::string& text, char separator) {
   std::stringstream in(text);
   for (std::string part; std::getline(in, part, separator);) parts.push_back(part);
   return parts;
+}
+
+// Arrays from here on are mapped by themselves, in huge pages where the system has them: at paper size the
+// faults of small pages would cost more than the copies that raise them.
+constexpr std::size_t kMappedBytes = std::size_t{8} << 20;
+
+// Untouched zero pages, so that construction costs nothing until they are filled; null without memory.
+std::byte* zeroed(std::size_t bytes) {
+  if (bytes < kMappedBytes) return static_cast<std::byte*>(std::calloc(std::max<std::size_t>(bytes, 1), 1));
+  void* p = ::mmap(nullptr, bytes, PROT_READ | PROT_WRITE, MAP_PRIVATE | MAP_ANONYMOUS, -1, 0);
+  if (p == MAP_FAILED) return nullptr;
+  (void)::madvise(p, bytes, MADV_HUGEPAGE);
+  return static_cast<std::byte*>(p);
 }
 
 // One term of a symbolic shape: a number, or a symbol plus an offset ("nx+1").
@@ -100,7 +114,10 @@ std::int64_t element_count(const Shape& shape) {
 }
 
 void HostArray::Free::operator()(std::byte* p) const {
-  std::free(p);
+  if (bytes < kMappedBytes)
+    std::free(p);
+  else
+    ::munmap(p, bytes);
 }
 
 HostArray::HostArray(std::string name, DType dtype, Shape shape, std::string unit)
@@ -112,9 +129,7 @@ HostArray::HostArray(std::string name, DType dtype, Shape shape, std::string uni
     }
   }
   size_ = element_count(shape_);
-  // calloc: large arrays come as untouched zero pages, so that construction costs nothing until they are
-  // filled.
-  data_.reset(static_cast<std::byte*>(std::calloc(std::max<std::size_t>(bytes(), 1), 1)));
+  data_ = decltype(data_)(zeroed(bytes()), Free{bytes()});
   if (!data_) {
     throw Error(ExitCode::out_of_memory,
                 fmt::format("array '{}': cannot allocate {} MiB of host memory", name_, bytes() >> 20));

@@ -56,6 +56,7 @@ class HostArray {
  private:
   void require(DType) const;
   struct Free {
+    std::size_t bytes;
     void operator()(std::byte* p) const;
   };
   std::string name_, unit_;

@@ -35,6 +35,7 @@ ModuleIdentity identify(const std::string& label, const std::string& task, const
   for (const std::string prefix : {"mutant.", "serial_mutant."}) {
     if (!starts_with(label, prefix)) continue;
     id.role = "mutant";
+    id.lane = prefix == "mutant." ? "gpu" : "cpu";
     const std::string path = fmt::format("{}/{}/{}.patch", mutants_root, task, label.substr(prefix.size()));
     const std::string patch = read_file(path);
     id.mutant_class = header_value(patch, "class");
@@ -48,12 +49,13 @@ ModuleIdentity identify(const std::string& label, const std::string& task, const
   }
   if (label == "reference" || label == "fmad") {
     id.role = label;
-  } else if (label == "blocks" || starts_with(label, "reference.")) {
-    // The reference with other block sizes, run again, or on permuted inputs: correct, and rounding
-    // differently.
+    id.lane = "gpu";
+  } else if (label == kOtherBlocks || label == kRunAgain || label == kPermuted) {
     id.role = "reference";
+    id.lane = "gpu";
   } else if (starts_with(label, "baseline_")) {
     id.role = "baseline";
+    id.lane = "cpu";
   } else {
     id.role = "user";
   }
@@ -66,7 +68,13 @@ bool is_module_path(const std::string& module) {
 
 ModuleIdentity identify_module(const std::string& module, const std::string& label, const std::string& task,
                                const std::string& mutants_root) {
-  if (!is_module_path(module)) return identify(label.empty() ? module : label, task, mutants_root);
+  if (!is_module_path(module)) {
+    const ModuleIdentity own = identify(module, task, mutants_root);
+    if (label.empty()) return own;
+    ModuleIdentity id = identify(label, task, mutants_root);
+    id.lane = own.lane;
+    return id;
+  }
   const std::string name = label.empty() ? std::filesystem::path(module).stem().string() : label;
   const bool suite_mutant = starts_with(name, "mutant.") || starts_with(name, "serial_mutant.");
   if (suite_mutant || identify(name, task, mutants_root).role != "user") {

@@ -11,10 +11,17 @@
 
 namespace gpuphys {
 
+/// Labels of correct runs of the reference that round differently: other block sizes, a second run, the items
+/// in another order.
+inline constexpr const char* kOtherBlocks = "blocks";
+inline constexpr const char* kRunAgain = "reference.again";
+inline constexpr const char* kPermuted = "reference.permuted";
+
 /// What is known about a module besides its code.
 struct ModuleIdentity {
   std::string label;  ///< "reference", "mutant.<fault>", ...
   std::string role;   ///< "reference", "fmad", "baseline", "mutant", "user"
+  std::string lane;   ///< "gpu", "cpu", or empty for a user's module, whose lane its file knows
   std::string mutant_class, expected_check;
   bool sparse = false;
 };

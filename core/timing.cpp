@@ -50,37 +50,30 @@ double quantile(const std::vector<double>& sorted, double q) {
   return sorted[below] + (at - static_cast<double>(below)) * (sorted[above] - sorted[below]);
 }
 
-Arrays clone_all(const Arrays& arrays) {
-  Arrays copies;
-  for (const HostArray& a : arrays) copies.push_back(a.clone());
-  return copies;
-}
-
 }  // namespace
 
-std::vector<double> time_module(Backend& backend, const LoadedModule& module, const Contract& contract,
-                                const TimedSide& timed, const TimedSide& other,
-                                const TimingProtocol& protocol,
-                                const std::function<void(const std::string&)>& progress) {
+TimedCalls time_module(Backend& backend, const LoadedModule& module, const Contract& contract,
+                       const TimedSide& timed, const TimedSide& other, const TimingProtocol& protocol,
+                       const std::function<void(const std::string&)>& progress) {
   if (timed.problem == nullptr || other.problem == nullptr || !timed.judge)
     throw Error(ExitCode::internal, "time_module: a timing needs two problems and a judge");
   Arrays earlier;
-  const auto run = [&](const TimedSide& side, const std::string& what) {
+  const auto run = [&](const TimedSide& side, bool judged, const std::string& what) {
     if (progress) progress(what);
     CallReport report = backend.call(module, contract, *side.problem);
     // NaN and infinity are wrong values, which the judge reports in its own words.
     for (const FaultReport& f : report.faults) {
-      if (f.fault == Fault::non_finite_output && side.judge) continue;
+      if (f.fault == Fault::non_finite_output && judged) continue;
       throw Error(ExitCode::module_fault, fmt::format("{}: {}: {}", what, to_string(f.fault), f.detail));
     }
     if (report.outputs.empty())
       throw Error(ExitCode::module_fault, fmt::format("{}: nothing could be read back", what));
-    if (side.judge) {
+    if (judged) {
       const std::vector<std::string> complaints = side.judge(report, earlier.empty() ? nullptr : &earlier);
       if (!complaints.empty())
         throw Error(ExitCode::check_failed, fmt::format("{}: {}", what, complaints.front()));
     }
-    earlier = clone_all(report.outputs);
+    earlier = std::move(report.outputs);
     return report.milliseconds;
   };
 
@@ -88,12 +81,16 @@ std::vector<double> time_module(Backend& backend, const LoadedModule& module, co
   for (int i = 0; i < protocol.warmup_calls ||
                   std::chrono::duration<double>(Clock::now() - start).count() < protocol.warmup_seconds;
        ++i) {
-    run(other, fmt::format("warm-up call {}", i + 1));
+    run(other, false, fmt::format("warm-up call {}", i + 1));
   }
-  std::vector<double> times;
+  TimedCalls times;
+  const bool both = other.judge != nullptr;
   for (int i = 0; i < protocol.timed_calls; ++i) {
-    if (i > 0) run(other, fmt::format("call on the other inputs before timed call {}", i + 1));
-    times.push_back(run(timed, fmt::format("timed call {}", i + 1)));
+    times.timed.push_back(run(timed, true, fmt::format("timed call {}", i + 1)));
+    if (!both && i + 1 == protocol.timed_calls) break;
+    const double elapsed =
+        run(other, both, fmt::format("call on the other inputs after timed call {}", i + 1));
+    if (both) times.other.push_back(elapsed);
   }
   return times;
 }

@@ -39,8 +39,8 @@ namespace gpuphys {
 struct TimedSide {
   const Problem* problem = nullptr;
   /// What is wrong with the outputs of a call on this set, one line each; `earlier` (may be null) is what the
-  /// call before returned, on the other set. Must be set for the timed side. Broken rules are found without
-  /// it.
+  /// call before returned, on the other set. A side with a judge is timed; the first must have one, the
+  /// second may. Broken rules are found without it.
   std::function<std::vector<std::string>(const CallReport&, const Arrays* earlier)> judge;
 };
 
@@ -50,12 +50,19 @@ struct TimingProtocol {
   int timed_calls = 5;
 };
 
-/// Milliseconds of each timed call. Throws Error(module_fault) naming the call and the fault when the module
-/// breaks a rule in any call, Error(check_failed) when a judged output is wrong, Error(internal) when the
-/// timed side has no judge. `progress` is called before each call with a word about it.
-std::vector<double> time_module(Backend&, const LoadedModule&, const Contract&, const TimedSide& timed,
-                                const TimedSide& other, const TimingProtocol& = {},
-                                const std::function<void(const std::string&)>& progress = nullptr);
+/// Milliseconds of each timed call.
+struct TimedCalls {
+  std::vector<double> timed;
+  std::vector<double> other;  ///< empty unless the other side has a judge, too
+};
+
+/// Calls on the two sides in turn, after a warm-up on the other one. Throws Error(module_fault) naming the
+/// call and the fault when the module breaks a rule in any call, Error(check_failed) when a judged output is
+/// wrong, Error(internal) when the timed side has no judge. `progress` is called before each call with a word
+/// about it.
+TimedCalls time_module(Backend&, const LoadedModule&, const Contract&, const TimedSide& timed,
+                       const TimedSide& other, const TimingProtocol& = {},
+                       const std::function<void(const std::string&)>& progress = nullptr);
 
 // ---- statistics ----
 

@@ -12,6 +12,7 @@
 
 #include "core/harness.hpp"
 #include "core/hdf5_io.hpp"
+#include "core/parallel.hpp"
 #include "core/progress.hpp"
 #include "core/sha256.hpp"
 
@@ -69,12 +70,14 @@ void require_usable(const Arrays& truth, const Task& task, const InputSet& set, 
                   fmt::format("{}: array '{}' has shape {}, expected {}", where, spec.name,
                               to_string(a.shape()), to_string(evaluate_shape(spec, symbols))));
     }
-    for (std::int64_t i = 0; i < a.size(); ++i) {
-      if (!std::isfinite(a.value(i))) {
-        throw Error(ExitCode::module_fault,
-                    fmt::format("{}: array '{}' is not finite at flat index {}", where, spec.name, i));
+    parallel_pieces(a.size(), [&](std::int64_t, std::int64_t begin, std::int64_t end) {
+      for (std::int64_t i = begin; i < end; ++i) {
+        if (!std::isfinite(a.value(i))) {
+          throw Error(ExitCode::module_fault,
+                      fmt::format("{}: array '{}' is not finite at flat index {}", where, spec.name, i));
+        }
       }
-    }
+    });
   }
 }
 

@@ -7,3 +7,6 @@
 # Explicit fmaf() and __fmaf_rn() survive the flag, so references leave contraction to the compiler, and
 # <task>.fmad_differs checks that the variant's PTX holds fewer fused operations than the reference's.
 gpuphys_variant(fmad -fmad=false)
+
+# A second known-correct build needs no flags of its own: where a reference offers other block sizes (it mentions
+# GPUPHYS_OTHER_BLOCKS), gpuphys_add_task() also builds it with that macro defined, as the module `blocks`.

@@ -64,7 +64,7 @@ class Cli : public ::testing::Test {
 
 TEST_F(Cli, UnknownNamesSuggestWhatExists) {
   expect_error("run --task advect_rk3x --module baseline_f32", ExitCode::unknown_name,
-               {"'advect_rk3x'", "advect_rk2"});
+               {"'advect_rk3x'", "advect_rk3"});
   expect_error("run --task advect_rk2 --module baseline_f32 --set nosuch", ExitCode::unknown_name,
                {"'nosuch'", "public_smoke"});
   expect_error("run --task advect_rk2 --module baseline_f16 --set public_smoke", ExitCode::unknown_name,

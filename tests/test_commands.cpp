@@ -8,8 +8,10 @@
 #include <filesystem>
 #include <memory>
 
+#include "core/driver/inventory.hpp"
 #include "core/files.hpp"
 #include "core/hdf5_io.hpp"
+#include "core/judge.hpp"
 #include "core/results.hpp"
 #include "core/source_digest.hpp"
 #include "core/task.hpp"
@@ -82,6 +84,7 @@ class Commands : public testing::Test {
       run("reference", "reference", set);
       run("fmad", "fmad", set);
       if (hard) continue;
+      if (offers_other_blocks(task, source)) run(kOtherBlocks, "reference", set);
       for (const auto& entry : fs::directory_iterator(source + "/mutants/" + task.name)) {
         run("mutant." + entry.path().stem().string(), "mutant", set);
       }
@@ -148,7 +151,7 @@ TEST_F(Commands, AnExportedSetCanBeSolvedElsewhereAndChecked) {
 }
 
 TEST_F(Commands, UnknownNamesAreRefusedWithWhatExists) {
-  EXPECT_OUTCOME(gpuphys("export --task advect_rk9 --set public --output x.h5"), 6, "nearest: advect_rk2");
+  EXPECT_OUTCOME(gpuphys("export --task advect_rk22 --set public --output x.h5"), 6, "nearest: advect_rk2");
   EXPECT_OUTCOME(gpuphys("export --task advect_rk2 --set nothing --output x.h5"), 6, "public_smoke");
   EXPECT_OUTCOME(gpuphys("verdict --gpu none"), 6, "no records of GPU 'none'");
   EXPECT_OUTCOME(gpuphys("tolerance --value 1"), 2, "--check and --value belong together");

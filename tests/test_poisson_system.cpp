@@ -6,6 +6,7 @@
 
 #include <cmath>
 #include <cstring>
+#include <functional>
 #include <limits>
 
 #include "core/comparators.hpp"
@@ -13,6 +14,9 @@
 
 namespace gpuphys {
 
+namespace poisson_dirichlet {
+Task make_task();
+}
 namespace poisson_neumann {
 Task make_task();
 }
@@ -136,7 +140,62 @@ TEST(ManufacturedField, WithoutNoiseIsTheRamp) {
   EXPECT_NEAR(x[1] - x[0], 3 * 2.0 / 3 / 4, 1e-14);  // one cell along y
 }
 
-// Every guarantee of the task's specification, on every set that is small enough to look at cell by cell.
+// What both specifications guarantee, cell by cell; `row(cell, magnitudes of its couplings)` sees the active
+// ones. Returns how many there are.
+std::int64_t expect_valid_rows(const Inputs& in, const std::function<void(std::int64_t, double)>& row) {
+  EXPECT_GT(in.tol, 0);
+  const std::int64_t n[3] = {in.b.shape[0], in.b.shape[1], in.b.shape[2]};
+  const std::int64_t step[3] = {n[1] * n[2], n[2], 1};
+  const float* coupling[3] = {in.a_x.data, in.a_y.data, in.a_z.data};
+  std::int64_t active = 0, wrong = 0;
+  for (std::int64_t c = 0; c < in.b.size(); ++c) {
+    const std::int64_t at[3] = {c / step[0], c / step[1] % n[1], c % n[2]};
+    double off = 0;
+    for (int d = 0; d < 3; ++d) {
+      const float a = coupling[d][c];
+      const bool next = at[d] + 1 < n[d] && in.is_dof.data[c] && in.is_dof.data[c + step[d]];
+      wrong += !std::isfinite(a) || a > 0 || (std::signbit(a) && a == 0) || (!next && a != 0);
+      off -= a;
+      if (at[d] > 0) off -= coupling[d][c - step[d]];
+    }
+    wrong += !std::isfinite(in.b.data[c]) || !std::isfinite(in.a_diag.data[c]);
+    if (!in.is_dof.data[c]) {
+      wrong += in.a_diag.data[c] != 0 || in.b.data[c] != 0;
+      continue;
+    }
+    ++active;
+    wrong += !(in.a_diag.data[c] > 0);
+    row(c, off);
+  }
+  EXPECT_EQ(wrong, 0);
+  EXPECT_GT(active, 0);
+  return active;
+}
+
+// The cells that `start` reaches through non-zero couplings.
+std::vector<std::int64_t> component_of(const Inputs& in, std::int64_t start, std::vector<char>& reached) {
+  const std::int64_t n[3] = {in.b.shape[0], in.b.shape[1], in.b.shape[2]};
+  const std::int64_t step[3] = {n[1] * n[2], n[2], 1};
+  const float* coupling[3] = {in.a_x.data, in.a_y.data, in.a_z.data};
+  std::vector<std::int64_t> cells{start};
+  reached[static_cast<std::size_t>(start)] = 1;
+  for (std::size_t next = 0; next < cells.size(); ++next) {
+    const std::int64_t c = cells[next];
+    const std::int64_t at[3] = {c / step[0], c / step[1] % n[1], c % n[2]};
+    for (int d = 0; d < 3; ++d) {
+      for (const int side : {-1, 1}) {
+        if (at[d] + side < 0 || at[d] + side >= n[d]) continue;
+        const std::int64_t other = c + side * step[d];
+        if (coupling[d][side < 0 ? other : c] == 0 || reached[static_cast<std::size_t>(other)]) continue;
+        reached[static_cast<std::size_t>(other)] = 1;
+        cells.push_back(other);
+      }
+    }
+  }
+  return cells;
+}
+
+// On every set that is small enough to look at cell by cell.
 TEST(PoissonNeumannInputs, KeepTheGuaranteesOfTheSpecification) {
   int sets = 0;
   for (const InputSet& s : poisson_neumann::make_task().sets) {
@@ -145,43 +204,17 @@ TEST(PoissonNeumannInputs, KeepTheGuaranteesOfTheSpecification) {
     SCOPED_TRACE(s.name);
     const Problem p = s.make();
     const Inputs in = bind_inputs<Inputs>(p);
-    EXPECT_GT(in.tol, 0);
-    const std::int64_t n[3] = {in.b.shape[0], in.b.shape[1], in.b.shape[2]};
-    const std::int64_t step[3] = {n[1] * n[2], n[2], 1};
-    const float* coupling[3] = {in.a_x.data, in.a_y.data, in.a_z.data};
-    std::int64_t active = 0, first = -1;
+    std::int64_t first = -1;
     double sum_b = 0, sum_abs_b = 0, sum_diagonal = 0;
-    for (std::int64_t c = 0; c < in.b.size(); ++c) {
-      const std::int64_t at[3] = {c / step[0], c / step[1] % n[1], c % n[2]};
-      double off = 0;
-      for (int d = 0; d < 3; ++d) {
-        ASSERT_TRUE(std::isfinite(coupling[d][c]));
-        ASSERT_LE(coupling[d][c], 0);
-        ASSERT_FALSE(std::signbit(coupling[d][c]) && coupling[d][c] == 0) << "negative zero";
-        const bool next = at[d] + 1 < n[d] && in.is_dof.data[c] && in.is_dof.data[c + step[d]];
-        if (!next) {
-          ASSERT_EQ(coupling[d][c], 0);
-        }
-        off -= coupling[d][c];
-        if (at[d] > 0) off -= coupling[d][c - step[d]];
-      }
-      ASSERT_TRUE(std::isfinite(in.b.data[c]) && std::isfinite(in.a_diag.data[c]));
-      if (!in.is_dof.data[c]) {
-        ASSERT_EQ(in.a_diag.data[c], 0);
-        ASSERT_EQ(in.b.data[c], 0);
-        continue;
-      }
-      ++active;
-      first = c;
-      ASSERT_GT(in.a_diag.data[c], 0);
+    const std::int64_t active = expect_valid_rows(in, [&](std::int64_t c, double off) {
+      if (first < 0) first = c;
       if (s.name != "hard_one_cell") {
-        ASSERT_NEAR(in.a_diag.data[c], off, 0x1p-24 * off);
+        EXPECT_NEAR(in.a_diag.data[c], off, 0x1p-24 * off);
       }
       sum_b += in.b.data[c];
       sum_abs_b += std::abs(in.b.data[c]);
       sum_diagonal += in.a_diag.data[c];
-    }
-    ASSERT_GT(active, 0);
+    });
     // b sums to zero up to its own rounding and that of the diagonals, which multiply an x of this size:
     const double size_x = s.name == "hard_channel_source_sink" ? 256
                           : s.name == "hard_huge_rhs"          ? 2e20
@@ -190,61 +223,84 @@ TEST(PoissonNeumannInputs, KeepTheGuaranteesOfTheSpecification) {
     if (s.name != "hard_incompatible_rhs") {
       EXPECT_LE(std::abs(sum_b), 0x1p-24 * (sum_abs_b + size_x * sum_diagonal));
     }
-    // One component through non-zero couplings.
     std::vector<char> reached(static_cast<std::size_t>(in.b.size()), 0);
-    std::vector<std::int64_t> stack{first};
-    reached[static_cast<std::size_t>(first)] = 1;
-    std::int64_t count = 0;
-    while (!stack.empty()) {
-      const std::int64_t c = stack.back();
-      stack.pop_back();
-      ++count;
-      const std::int64_t at[3] = {c / step[0], c / step[1] % n[1], c % n[2]};
-      for (int d = 0; d < 3; ++d) {
-        for (const int side : {-1, 1}) {
-          if (at[d] + side < 0 || at[d] + side >= n[d]) continue;
-          const std::int64_t other = c + side * step[d];
-          if (coupling[d][side < 0 ? other : c] == 0 || reached[static_cast<std::size_t>(other)]) continue;
-          reached[static_cast<std::size_t>(other)] = 1;
-          stack.push_back(other);
-        }
-      }
-    }
-    EXPECT_EQ(count, active);
+    EXPECT_EQ(static_cast<std::int64_t>(component_of(in, first, reached).size()), active);
   }
   EXPECT_GE(sets, 12);
 }
 
-TEST(PoissonNeumannInputs, AreTheSameEveryTime) {
-  for (const InputSet& s : poisson_neumann::make_task().sets) {
+TEST(PoissonDirichletInputs, KeepTheGuaranteesOfTheSpecification) {
+  int sets = 0;
+  for (const InputSet& s : poisson_dirichlet::make_task().sets) {
     if (s.size != Size::smoke) continue;
-    const Problem a = s.make(), b = s.make();
-    for (std::size_t q = 0; q < a.inputs.size(); ++q) {
-      EXPECT_EQ(std::memcmp(a.inputs[q].data(), b.inputs[q].data(), a.inputs[q].bytes()), 0)
-          << s.name << ' ' << a.inputs[q].name();
+    ++sets;
+    SCOPED_TRACE(s.name);
+    const Problem p = s.make();
+    const Inputs in = bind_inputs<Inputs>(p);
+    const std::size_t cells = static_cast<std::size_t>(in.b.size());
+    std::vector<char> held(cells, 0), reached(cells, 0);
+    expect_valid_rows(in, [&](std::int64_t c, double off) {
+      EXPECT_GE(in.a_diag.data[c], off * (1 - 0x1p-24));
+      held[static_cast<std::size_t>(c)] = in.a_diag.data[c] > off * (1 + 0x1p-23);
+    });
+    // Every component is held at zero somewhere.
+    for (std::size_t c = 0; c < cells; ++c) {
+      if (!in.is_dof.data[c] || reached[c]) continue;
+      bool any = false;
+      for (const std::int64_t member : component_of(in, static_cast<std::int64_t>(c), reached))
+        any = any || held[static_cast<std::size_t>(member)];
+      ASSERT_TRUE(any) << c;
+    }
+  }
+  EXPECT_GE(sets, 10);
+}
+
+const std::vector<Task>& tasks() {
+  static const std::vector<Task> both = [] {
+    std::vector<Task> t;
+    t.push_back(poisson_dirichlet::make_task());
+    t.push_back(poisson_neumann::make_task());
+    return t;
+  }();
+  return both;
+}
+
+TEST(PoissonInputs, AreTheSameEveryTime) {
+  for (const Task& t : tasks()) {
+    for (const InputSet& s : t.sets) {
+      if (s.size != Size::smoke) continue;
+      const Problem a = s.make(), b = s.make();
+      for (std::size_t q = 0; q < a.inputs.size(); ++q) {
+        EXPECT_EQ(std::memcmp(a.inputs[q].data(), b.inputs[q].data(), a.inputs[q].bytes()), 0)
+            << t.name << ' ' << s.name << ' ' << a.inputs[q].name();
+      }
     }
   }
 }
 
-TEST(PoissonNeumannInputs, DifferBetweenThePublicAndTheHiddenSet) {
-  const Task t = poisson_neumann::make_task();
-  const Problem a = t.set("public_smoke").make(), b = t.set("hidden_smoke").make();
-  for (std::size_t q = 0; q < a.inputs.size(); ++q) {
-    EXPECT_NE(std::memcmp(a.inputs[q].data(), b.inputs[q].data(), a.inputs[q].bytes()), 0)
-        << a.inputs[q].name();
+// The active cells of poisson_dirichlet are the same in both, as in the paper.
+TEST(PoissonInputs, DifferBetweenThePublicAndTheHiddenSet) {
+  for (const Task& t : tasks()) {
+    const Problem a = t.set("public_smoke").make(), b = t.set("hidden_smoke").make();
+    for (std::size_t q = 0; q < a.inputs.size(); ++q) {
+      if (t.name == "poisson_dirichlet" && a.inputs[q].name() == "is_dof") continue;
+      EXPECT_NE(std::memcmp(a.inputs[q].data(), b.inputs[q].data(), a.inputs[q].bytes()), 0)
+          << t.name << ' ' << a.inputs[q].name();
+    }
   }
 }
 
 // The manufactured solution is the truth at the paper's size: it must solve the rounded system far below the
 // tolerance, also after rounding it to float32.
-TEST(PoissonNeumannInputs, AreSolvedByTheirManufacturedSolution) {
-  const Task t = poisson_neumann::make_task();
-  for (const auto& [name, seed] :
-       {std::pair<const char*, std::uint64_t>{"public_smoke", 1}, {"hidden_smoke", 2}}) {
-    const Problem p = t.set(name).make();
-    const std::vector<double> x = ramp_and_noise(p, seed, 1, 0.5);
-    EXPECT_LT(residual_of(p, as_solution(t.contract, p, x)[0]).relative_l2, 5e-8);
-    EXPECT_LT(residual_of(p, outputs_of(p, {x.begin(), x.end()})[0]).relative_l2, 1e-7);
+TEST(PoissonInputs, AreSolvedByTheirManufacturedSolution) {
+  for (const Task& t : tasks()) {
+    for (const auto& [name, seed] :
+         {std::pair<const char*, std::uint64_t>{"public_smoke", 1}, {"hidden_smoke", 2}}) {
+      const Problem p = t.set(name).make();
+      const std::vector<double> x = ramp_and_noise(p, seed, 1, 0.5);
+      EXPECT_LT(residual_of(p, as_solution(t.contract, p, x)[0]).relative_l2, 5e-8) << t.name;
+      EXPECT_LT(residual_of(p, outputs_of(p, {x.begin(), x.end()})[0]).relative_l2, 1e-7) << t.name;
+    }
   }
 }
 

@@ -61,7 +61,7 @@ struct Bench {
     const TimedSide one{&timed, [&](const CallReport& r, const Arrays*) { return judge(timed, r); }};
     const TimedSide two{&other, nullptr};
     const std::vector<double> times =
-        time_module(*backend, module, describe<Inputs, Outputs<float>>(), one, two);
+        time_module(*backend, module, describe<Inputs, Outputs<float>>(), one, two).timed;
     return timing_result("slowdown_target", name, "public", times, 8.0 * kSize, 0, ceilings, gpu);
   }
 };

@@ -35,12 +35,11 @@ VelocitySet make_set(int q, double rest, double axis, double edge, double corner
   return s;
 }
 
+// Extents at and below the reach of a velocity, odd ones, and rows longer than a block of threads.
+constexpr Grid kOddGrids[] = {{1, 1, 1}, {2, 2, 2}, {1, 5, 33}, {7, 1, 9}, {2, 3, 1201}};
+
 std::int64_t wrapped(std::int64_t index, std::int64_t n) {
   return ((index % n) + n) % n;
-}
-
-Grid grid_of(const HostArray& f) {
-  return {f.shape()[1], f.shape()[2], f.shape()[3]};
 }
 
 // Flat index in f of where the population of velocity q of cell (i,j,k) ends up.
@@ -54,11 +53,34 @@ std::int64_t destination(const Step& step, const VelocitySet& s, const Grid& g, 
   return ((static_cast<std::int64_t>(q) * g.nx + i) * g.ny + j) * g.nz + k;
 }
 
-std::string cell_text(std::int64_t i, std::int64_t j, std::int64_t k) {
-  return fmt::format("cell ({},{},{})", i, j, k);
+std::string compared(const HostArray& out, std::int64_t at, double expected) {
+  return fmt::format("{}: got {:.9g}, expected {:.9g}", index_text(out, at), out.value(at), expected);
 }
 
-// Largest change of a moment of single cells; moment(q) gives its factors, at most three of them.
+// Keeps the largest error seen; the first that is not finite stays.
+template <class Text>
+void raise(Measured& worst, double error, const Text& text) {
+  if (std::isfinite(worst.error) && !(error <= worst.error)) worst = {error, text()};
+}
+
+// The worst of all cells. visit(cell, to, worst) sees the flat index of a cell and where each of its
+// populations ends up, and raises `worst`.
+template <class Visit>
+Measured worst_cell(const Step& step, const HostArray& in, const Visit& visit) {
+  const VelocitySet& s = velocity_set(step.q);
+  const Grid g{in.shape()[1], in.shape()[2], in.shape()[3]};
+  std::vector<std::int64_t> to(s.c.size());
+  Measured worst;
+  for (std::int64_t cell = 0; cell < g.nx * g.ny * g.nz && std::isfinite(worst.error); ++cell) {
+    for (std::size_t q = 0; q < to.size(); ++q)
+      to[q] = destination(step, s, g, q, cell / (g.ny * g.nz), cell / g.nz % g.ny, cell % g.nz);
+    visit(cell, to, worst);
+  }
+  return worst;
+}
+
+// Largest change of a moment of single cells; factors(q) are those of the populations in it, at most three
+// moments.
 Check conserved(const Step& step, std::string name, std::string quantity,
                 const std::function<std::array<double, 3>(std::size_t)>& factors) {
   return {std::move(name),
@@ -72,30 +94,23 @@ Check conserved(const Step& step, std::string name, std::string quantity,
           [=](const Judged& j) {
             const HostArray& in = find(j.problem.inputs, "f", "inputs");
             const HostArray& out = find(j.outputs, "f", "outputs");
-            const VelocitySet& s = velocity_set(step.q);
-            const Grid g = grid_of(in);
-            const std::int64_t cells = g.nx * g.ny * g.nz;
-            Measured worst;
-            for (std::int64_t cell = 0; cell < cells; ++cell) {
-              const std::int64_t a = cell / (g.ny * g.nz), b = cell / g.nz % g.ny, c = cell % g.nz;
+            const std::int64_t cells = in.size() / step.q;
+            return worst_cell(step, in, [&](std::int64_t cell, const auto& to, Measured& worst) {
               std::array<double, 3> change{};
               double scale = 0;
-              for (std::size_t q = 0; q < s.c.size(); ++q) {
+              for (std::size_t q = 0; q < to.size(); ++q) {
                 const double before = in.value(static_cast<std::int64_t>(q) * cells + cell);
-                const double after = out.value(destination(step, s, g, q, a, b, c));
                 const std::array<double, 3> factor = factors(q);
-                for (std::size_t d = 0; d < 3; ++d) change[d] += factor[d] * (after - before);
+                for (std::size_t d = 0; d < 3; ++d) change[d] += factor[d] * (out.value(to[q]) - before);
                 scale += std::abs(before);
               }
               for (const double d : change) {
-                const double e = std::abs(d) / scale;
-                if (!(e <= worst.error)) {
-                  worst = {e, fmt::format("{}: changed by {:.3g} of {:.6g}", cell_text(a, b, c), d, scale)};
-                  if (!std::isfinite(e)) return worst;
-                }
+                raise(worst, std::abs(d) / scale, [&] {
+                  return fmt::format("the cell of {}: changed by {:.3g} of {:.6g}", index_text(in, cell), d,
+                                     scale);
+                });
               }
-            }
-            return worst;
+            });
           }};
 }
 
@@ -169,6 +184,35 @@ Problem flow_problem(const Step& step, Grid g, const FlowState& state) {
       state.non_equilibrium, state.seed);
 }
 
+Task step_task(const Step& step, std::string name, int paper_number, std::string title, Grid paper,
+               double public_non_equilibrium, double hidden_non_equilibrium) {
+  Task task;
+  task.name = std::move(name);
+  task.family = "grid_lattice";
+  task.title = std::move(title);
+  task.paper_number = paper_number;
+  task.contract = step.contract;
+  task.sets = flow_sets(step, paper, public_non_equilibrium, hidden_non_equilibrium);
+  for (InputSet& set : step.collides ? collision_hard_cases(step) : streaming_hard_cases(step))
+    task.sets.push_back(std::move(set));
+  const std::string paper_table = "the paper's table of inputs and checks";
+  if (step.collides) {
+    task.checks = {
+        relative_l2_check("f", 5e-6, paper_table),
+        local_error_check(
+            "f", 1e-5,
+            "the rest population is four times the rms, so one float32 unit of it is 3.5e-7 of the rms, and "
+            "the density enters it with the rounding of a sum of all populations: room for thirty units, and "
+            "a thousand times below a population from a wrong cell")};
+  } else {
+    task.checks = {relative_l2_check("f", 1e-9, paper_table + "; a copy has no error at all"),
+                   local_error_check("f", 1e-9,
+                                     "a copy has no error, and two float32 numbers that differ do so by more "
+                                     "than this unless both are below a hundredth of the rms")};
+  }
+  return task;
+}
+
 std::vector<InputSet> flow_sets(const Step& step, Grid paper, double public_non_equilibrium,
                                 double hidden_non_equilibrium) {
   const FlowState open{1, 4, 0.05, 0.05, public_non_equilibrium};
@@ -182,37 +226,33 @@ std::vector<InputSet> flow_sets(const Step& step, Grid paper, double public_non_
 }
 
 std::vector<InputSet> collision_hard_cases(const Step& step) {
-  const std::vector<Check> conserve = conservation(step);
-  const auto with = [](std::vector<Check> checks, Check one) {
-    checks.push_back(std::move(one));
-    return checks;
+  std::vector<InputSet> sets;
+  const auto add = [&](const std::string& stress, const std::string& about, std::function<Problem()> make,
+                       std::vector<Check> also = {}) {
+    const std::vector<Check> conserve = conservation(step);
+    also.insert(also.begin(), conserve.begin(), conserve.end());
+    sets.push_back(hard_case(stress, about, std::move(make), std::move(also)));
+  };
+  const auto add_flow = [&](const std::string& stress, const std::string& about, FlowState state,
+                            double tau_plus = kTauPlus) {
+    add(stress, about, [=] {
+      Problem p = flow_problem(step, {18, 22, 26}, state);
+      p.set_scalar("tau_plus", tau_plus);
+      return p;
+    });
   };
   const FlowState flow{5, 2, 0.05, 0.05, 0.25};
-  std::vector<InputSet> sets;
-  sets.push_back(hard_case(
-      "tau_near_half", "tau_plus = 1/2 + 1e-4: nearly no viscosity, tau_minus of 1875",
-      [=] {
-        Problem p = flow_problem(step, {18, 22, 26}, flow);
-        p.set_scalar("tau_plus", 0.5001);
-        return p;
-      },
-      conserve));
-  sets.push_back(hard_case(
-      "uniform_equilibrium", "density 1.3 and u = (0.08, -0.05, 0.03) everywhere: a steady state",
+  add_flow("tau_near_half", "tau_plus = 1/2 + 1e-4: nearly no viscosity, tau_minus of 1875", flow, 0.5001);
+  add("uniform_equilibrium", "density 1.3 and u = (0.08, -0.05, 0.03) everywhere: a steady state",
       [=] {
         return problem_from(step, {12, 15, 17}, [](auto, auto, auto) {
           return Macroscopic{1.3, {0.08, -0.05, 0.03}};
         });
       },
-      with(conserve, unchanged())));
-  sets.push_back(hard_case(
-      "mach_03", "Mach 0.3: terms of second order in u are a tenth of the equilibrium",
-      [=] {
-        return flow_problem(step, {18, 22, 26}, {6, 2, 0.3, 0.05, 0.1});
-      },
-      conserve));
-  sets.push_back(hard_case(
-      "density_contrast", "densities of 1 and 1e-3 in random cells side by side",
+      {unchanged()});
+  add_flow("mach_03", "Mach 0.3: terms of second order in u are a tenth of the equilibrium",
+           {6, 2, 0.3, 0.05, 0.1});
+  add("density_contrast", "densities of 1 and 1e-3 in random cells side by side",
       [=] {
         const Grid g{14, 17, 21};
         return problem_from(
@@ -226,15 +266,10 @@ std::vector<InputSet> collision_hard_cases(const Step& step) {
             },
             0.2, 8);
       },
-      with(conserve, error_over_density(step))));
-  sets.push_back(hard_case(
-      "far_from_equilibrium", "populations of 0.05 to 1.95 times their equilibrium: some turn negative",
-      [=] {
-        return flow_problem(step, {18, 22, 26}, {9, 2, 0.05, 0.05, 0.95});
-      },
-      conserve));
-  sets.push_back(hard_case(
-      "faint", "densities of 1e-30: the step is of first degree in f, nothing may be flushed or overflow",
+      {error_over_density(step)});
+  add_flow("far_from_equilibrium", "populations of 0.05 to 1.95 times their equilibrium: some turn negative",
+           {9, 2, 0.05, 0.05, 0.95});
+  add("faint", "densities of 1e-30: the step is of first degree in f, nothing may be flushed or overflow",
       [=] {
         return problem_from(
             step, {10, 13, 19},
@@ -243,13 +278,50 @@ std::vector<InputSet> collision_hard_cases(const Step& step) {
             },
             0.25, 10);
       },
-      with(conserve, error_over_density(step))));
+      {error_over_density(step)});
   // No extent need exceed the reach of a velocity; rows longer than a block of threads must work as well.
-  for (const Grid grid : {Grid{1, 1, 1}, Grid{2, 2, 2}, Grid{1, 5, 33}, Grid{7, 1, 9}, Grid{2, 3, 1201}}) {
-    sets.push_back(hard_case(
-        fmt::format("grid_{}x{}x{}", grid.nx, grid.ny, grid.nz),
+  for (const Grid g : kOddGrids) {
+    add(fmt::format("grid_{}x{}x{}", g.nx, g.ny, g.nz),
         "extents at and below the reach of a velocity, odd, or longer than a block of threads",
-        [=] { return flow_problem(step, grid, flow); }, conserve));
+        [=] { return flow_problem(step, g, flow); });
+  }
+  return sets;
+}
+
+std::vector<InputSet> streaming_hard_cases(const Step& step) {
+  std::vector<InputSet> sets;
+  const auto add = [&](const std::string& stress, const std::string& about, std::function<Problem()> make) {
+    sets.push_back(hard_case(stress, about, std::move(make), {moved_bitwise(step)}));
+  };
+  // Populations that value(item) gives for their flat index.
+  const auto add_values = [&](const std::string& stress, const std::string& about, Grid g,
+                              std::function<float(std::uint64_t)> value) {
+    add(stress, about, [=] {
+      Problem p = make_problem(step.contract, {{"nx", g.nx}, {"ny", g.ny}, {"nz", g.nz}});
+      std::uint64_t item = 0;
+      for (float& f : p.inputs[0].as<float>()) f = value(item++);
+      return p;
+    });
+  };
+  add_values("own_number", "every population is its own flat index: none can pass for another", {5, 6, 64},
+             [](std::uint64_t item) { return static_cast<float>(item); });
+  add_values("any_value", "zeros of both signs, denormals, 1e38 and random values, which are only copied",
+             {6, 7, 36}, [](std::uint64_t item) {
+               constexpr float kValues[] = {0.0f, -0.0f, 1e-45f, -1e-40f, 1e38f, -3e38f, 1.17549435e-38f};
+               const std::uint64_t which = random_bits(11, 50, item) % 10;
+               return which < std::size(kValues) ? kValues[which]
+                                                 : static_cast<float>(uniform11(11, 51, item));
+             });
+  std::vector<Grid> grids(std::begin(kOddGrids), std::end(kOddGrids));
+  // Rows of whole 16-byte pieces as well, of one piece and of more than a block of threads reads at once.
+  for (const Grid g : {Grid{3, 7, 44}, Grid{5, 3, 4}, Grid{1, 2, 4804}}) grids.push_back(g);
+  for (const Grid g : grids) {
+    add(fmt::format("grid_{}x{}x{}", g.nx, g.ny, g.nz),
+        "extents at and below the reach of a velocity, odd, of a few 16-byte pieces, or longer than a block "
+        "of threads",
+        [=] {
+          return flow_problem(step, g, {5, 2, 0.05, 0.05, 0.25});
+        });
   }
   return sets;
 }
@@ -280,14 +352,34 @@ Check unchanged() {
             const HostArray& out = find(j.outputs, "f", "outputs");
             Measured worst;
             for (std::int64_t i = 0; i < in.size(); ++i) {
-              const double e = std::abs(out.value(i) - in.value(i)) / std::abs(in.value(i));
-              if (!(e <= worst.error)) {
-                worst = {e, fmt::format("{}: got {:.9g}, expected {:.9g}", index_text(out, i), out.value(i),
-                                        in.value(i))};
-                if (!std::isfinite(e)) return worst;
-              }
+              raise(worst, std::abs(out.value(i) - in.value(i)) / std::abs(in.value(i)),
+                    [&] { return compared(out, i, in.value(i)); });
             }
             return worst;
+          }};
+}
+
+Check moved_bitwise(const Step& step) {
+  return {"moved_bitwise",
+          CheckKind::invariant,
+          "f",
+          "number of populations that are not bitwise where their velocity leads",
+          0,
+          "streaming copies: nothing is rounded, flushed or lost",
+          false,
+          [=](const Judged& j) {
+            const HostArray& in = find(j.problem.inputs, "f", "inputs");
+            const HostArray& out = find(j.outputs, "f", "outputs");
+            const std::int64_t cells = in.size() / step.q;
+            double count = 0;
+            return worst_cell(step, in, [&](std::int64_t cell, const auto& to, Measured& worst) {
+              for (std::size_t q = 0; q < to.size(); ++q) {
+                const double before = in.value(static_cast<std::int64_t>(q) * cells + cell);
+                const double after = out.value(to[q]);
+                if (after == before && std::signbit(after) == std::signbit(before)) continue;
+                raise(worst, ++count, [&] { return compared(out, to[q], before); });
+              }
+            });
           }};
 }
 
@@ -304,26 +396,15 @@ Check error_over_density(const Step& step) {
         const HostArray& in = find(j.problem.inputs, "f", "inputs");
         const HostArray& out = find(j.outputs, "f", "outputs");
         const HostArray& truth = find(*j.truth, "f", "truth");
-        const VelocitySet& s = velocity_set(step.q);
-        const Grid g = grid_of(in);
-        const std::int64_t cells = g.nx * g.ny * g.nz;
-        Measured worst;
-        for (std::int64_t cell = 0; cell < cells; ++cell) {
-          const std::int64_t a = cell / (g.ny * g.nz), b = cell / g.nz % g.ny, c = cell % g.nz;
+        const std::int64_t cells = in.size() / step.q;
+        return worst_cell(step, in, [&](std::int64_t cell, const auto& to, Measured& worst) {
           double density = 0;
-          for (std::size_t q = 0; q < s.c.size(); ++q)
-            density += in.value(static_cast<std::int64_t>(q) * cells + cell);
-          for (std::size_t q = 0; q < s.c.size(); ++q) {
-            const std::int64_t at = destination(step, s, g, q, a, b, c);
-            const double e = std::abs(out.value(at) - truth.value(at)) / density;
-            if (!(e <= worst.error)) {
-              worst = {e, fmt::format("{}: got {:.9g}, expected {:.9g}", index_text(out, at), out.value(at),
-                                      truth.value(at))};
-              if (!std::isfinite(e)) return worst;
-            }
+          for (std::int64_t q = 0; q < step.q; ++q) density += in.value(q * cells + cell);
+          for (const std::int64_t at : to) {
+            raise(worst, std::abs(out.value(at) - truth.value(at)) / density,
+                  [&] { return compared(out, at, truth.value(at)); });
           }
-        }
-        return worst;
+        });
       }};
 }
 

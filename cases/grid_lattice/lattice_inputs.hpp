@@ -63,8 +63,13 @@ Problem problem_from(const Step&, Grid,
 std::vector<InputSet> flow_sets(const Step&, Grid paper, double public_non_equilibrium,
                                 double hidden_non_equilibrium);
 
-/// The hard cases of the tasks that collide, with their invariants.
+/// The hard cases of the tasks that collide, and of those that only stream, with their invariants.
 std::vector<InputSet> collision_hard_cases(const Step&);
+std::vector<InputSet> streaming_hard_cases(const Step&);
+
+/// A task of this family, but for its speed target: the sets above and the checks that its step calls for.
+Task step_task(const Step&, std::string name, int paper_number, std::string title, Grid paper,
+               double public_non_equilibrium, double hidden_non_equilibrium);
 
 // ---- invariants ----
 
@@ -73,6 +78,9 @@ std::vector<Check> conservation(const Step&);
 
 /// A uniform equilibrium does not change.
 Check unchanged();
+
+/// Every population is bitwise where its velocity leads.
+Check moved_bitwise(const Step&);
 
 /// Largest error of a population over the density of the cell that it comes from: bounds thin cells beside
 /// dense ones.

@@ -16,21 +16,25 @@ struct Grid {
 /// The task's contract.
 Contract contract();
 
-/// The public, hidden and smoke sets, and the hard cases that hold for every trace. Hard cases whose answer
-/// depends on the scheme (the linear field) are the task's own.
-std::vector<InputSet> input_sets();
+/// What the inputs and invariants of a task depend on.
+struct Scheme {
+  int velocity_evaluations;  ///< a face; each adds its rounding to the departure point
+  /// P(z), lowest power first: in a linear field u = A x, where interpolation is exact, the scheme yields
+  /// A P(-dt A) x.
+  std::vector<double> polynomial;
+  bool limited = false;  ///< by the samples around the departure point: not continuous in that point
+};
 
 /// A problem on `grid` with dx = 2^-8 m, dt = 2^-7 s and every component given by `value(c, i, j, k)`.
 Problem problem_from(Grid grid,
                      const std::function<double(int, std::int64_t, std::int64_t, std::int64_t)>& value);
 
-/// A linear velocity field u = A (x - centre) on a cube of `n` cells with |dt A| small enough that interior
-/// points stay inside, and the check that interior faces equal A P(-dt A)(x - centre), where P(z) = sum_s
-/// coefficients[s] z^s is the stability polynomial of the trace.
-InputSet linear_field_set(std::int64_t n, std::vector<double> coefficients);
+/// A task with the family's contract and inputs: the public, hidden and smoke sets, and the hard cases.
+/// Title, checks and target are left to the task.
+Task family_task(const std::string& name, int paper_number, const Scheme& scheme);
 
-/// The paper's checks of ux, uy, uz with its tolerance, and the suite's local check of each.
-std::vector<Check> checks(double tolerance, double local_tolerance, const std::string& why,
-                          const std::string& local_why);
+/// The same with the checks of the schemes that only interpolate at a departure point: the paper's of ux, uy,
+/// uz and the suite's local check of each. Title and target are left to the task.
+Task semi_lagrangian_task(const std::string& name, int paper_number, const Scheme& scheme);
 
 }  // namespace gpuphys::mac_advection

@@ -60,6 +60,16 @@ json speed_error(const ResultSet& results, const std::string& task) {
   return points;
 }
 
+// What goes in and out, as text: tasks of a family for which it is the same are variants of one computation.
+std::string interface_text(const Contract& contract) {
+  std::string text;
+  for (const ArraySpec& a : contract.inputs) text += fmt::format("{} ({}), ", a.name, a.shape);
+  for (const ScalarSpec& s : contract.scalars) text += fmt::format("{}, ", s.name);
+  text += "->";
+  for (const ArraySpec& a : contract.outputs) text += fmt::format(" {} ({}),", a.name, a.shape);
+  return text;
+}
+
 json task_json(const ResultSet& results, const Task& task, const std::string& source_root) {
   const Verdict v = full_verdict(results, task, {}, source_root);
   json window_list = json::array(), kills = json::array(), hard = json::array(), timing = json::array(),
@@ -138,6 +148,7 @@ json task_json(const ResultSet& results, const Task& task, const std::string& so
   return {{"name", task.name},
           {"family", task.family},
           {"title", task.title},
+          {"interface", interface_text(task.contract)},
           {"paper_number", task.paper_number},
           {"target_multiple", task.target_floor_multiple},
           {"knob", knob},

@@ -102,15 +102,6 @@ bool as_expected(const RunResult& r, const std::string& expect) {
   return r.state == (expect == "killed" ? RunState::killed : RunState::pass);
 }
 
-// Modules of the suite that run on the device, and on the host, by their labels.
-bool is_device_label(const std::string& module) {
-  return !is_module_path(module) &&
-         (module == "reference" || module == "fmad" || module == "blocks" || module.starts_with("mutant."));
-}
-bool is_host_label(const std::string& module) {
-  return !is_module_path(module) && (module.starts_with("baseline_") || module.starts_with("serial_mutant."));
-}
-
 bool same_scalars(const std::vector<Scalar>& a, const std::vector<Scalar>& b) {
   return std::equal(a.begin(), a.end(), b.begin(), b.end(),
                     [](const Scalar& x, const Scalar& y) { return x.value == y.value; });
@@ -119,7 +110,7 @@ bool same_scalars(const std::vector<Scalar>& a, const std::vector<Scalar>& b) {
 // Runs in a child process. Returns its exit code.
 int work(const Context& ctx, const RunOptions& o, const Task& task, const ModuleIdentity& id) {
   // Without a GPU the device modules are skipped, also those that this build left out.
-  if (is_device_label(o.module)) make_device_backend();
+  if (id.lane == "gpu") make_device_backend();
   const std::string path = ctx.module_path(task.name, o.module);
   const LoadedModule module(path);
   if (task.name != module.table().task) {
@@ -178,8 +169,7 @@ int work(const Context& ctx, const RunOptions& o, const Task& task, const Module
                                 : result.state == RunState::crashed ? ExitCode::crashed
                                                                     : ExitCode::check_failed);
       }
-      earlier.clear();
-      for (const HostArray& a : report.outputs) earlier.push_back(a.clone());
+      earlier = std::move(report.outputs);
       progress.step(set_name);
     }
   }
@@ -245,7 +235,7 @@ void run(Context& ctx, RunOptions& o) {
   const ResultSet written = load_results(ctx.results_root, task.name);
   for (const Variation& v : variations(task, o)) {
     for (const std::string& name : o.sets) {
-      RunResult lost = blank_result(task, task.set(name), id, !is_host_label(o.module), v);
+      RunResult lost = blank_result(task, task.set(name), id, id.lane != "cpu", v);
       const RunResult* there = written.find_run(task.name, lost.lane, lost.label, name);
       if (there != nullptr && there->started >= started) continue;
       lost.state = state;

@@ -51,10 +51,10 @@ Expectation expectation_of(const Task& task, const std::string& source_root) {
   for (const InputSet& set : task.sets) {
     if (set.size != Size::paper) continue;
     if (!task.unordered.empty() && set.kind == SetKind::open) {
-      e.gpu_ensemble["reference.again"].push_back(set.name);
-      e.gpu_ensemble["reference.permuted"].push_back(set.name);
+      e.gpu_ensemble[kRunAgain].push_back(set.name);
+      e.gpu_ensemble[kPermuted].push_back(set.name);
     }
-    if (offers_other_blocks(task, source_root)) e.gpu_ensemble["blocks"].push_back(set.name);
+    if (offers_other_blocks(task, source_root)) e.gpu_ensemble[kOtherBlocks].push_back(set.name);
   }
   for (const std::string& fault : planted_faults(mutants_root, task.name)) {
     const std::string patch = read_file(fmt::format("{}/{}/{}.patch", mutants_root, task.name, fault));

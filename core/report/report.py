@@ -13,6 +13,7 @@ import csv
 import io
 import json
 import math
+import os
 import pathlib
 import sys
 
@@ -27,6 +28,7 @@ SCHEMA = 1
 
 # Colours that stay apart for colour-blind readers (Okabe and Ito); every one goes with a marker or a word of its own.
 BLUE, ORANGE, GREEN, SKY, PURPLE, GREY = "#0072B2", "#D55E00", "#009E73", "#56B4E9", "#CC79A7", "#6b6b6b"
+VARIANT_COLOURS = (BLUE, ORANGE, GREEN, PURPLE, SKY, GREY)
 
 # Ratios are clipped to what an axis can show; a clipped value is drawn as an arrow head at the end of the axis.
 LOWEST_RATIO, HIGHEST_RATIO = 1e-6, 1e8
@@ -88,24 +90,43 @@ def knob_text(overrides):
     return ", ".join(f"{number(v):g}" for v in overrides.values())
 
 
-def speed_error_figure(task):
-    """Time against distance to the FP64 truth of one task; None when nothing was measured."""
-    points = [p for p in task["speed_error"] if number(p["milliseconds"]) > 0 and number(p["truth_gap"]) > 0
-              and math.isfinite(number(p["truth_gap"]))]
-    if not points:
-        return None
-    figure, axes = plt.subplots(figsize=(3.9, 2.9))
-    xs = [number(p["milliseconds"]) for p in points]
-    ys = [number(p["truth_gap"]) for p in points]
-    targets = sorted({number(t["floor_ms"]) * number(task["target_multiple"]) for t in task["timing"]
-                      if number(task["target_multiple"]) > 0 and math.isfinite(number(t["floor_ms"]))})
-    x_range, y_range = padded(xs + targets, 1.25), padded(ys, 2.0)
+def measured_points(task):
+    """The points of a task that have a place on logarithmic axes."""
+    return [p for p in task["speed_error"] if number(p["milliseconds"]) > 0 and number(p["truth_gap"]) > 0
+            and math.isfinite(number(p["truth_gap"]))]
+
+
+def target_times(task):
+    """Target in ms, by the floors measured with the task's timings."""
+    if not number(task["target_multiple"]) > 0:
+        return []
+    return sorted({number(t["floor_ms"]) * number(task["target_multiple"]) for t in task["timing"]
+                   if math.isfinite(number(t["floor_ms"]))})
+
+
+def speed_error_axes(size, points, targets):
+    """(figure, axes, range of x, range of y): time against distance to the FP64 truth, with room for all points."""
+    figure, axes = plt.subplots(figsize=size)
+    x_range = padded([number(p["milliseconds"]) for p in points] + targets, 1.25)
+    y_range = padded([number(p["truth_gap"]) for p in points], 2.0)
     axes.set_xscale("log")
     axes.set_yscale("log")
     axes.set_xlim(*x_range)
     axes.set_ylim(*y_range)
     plain_log_axis(axes.xaxis, *x_range)
     plain_log_axis(axes.yaxis, *y_range)
+    axes.set_xlabel("time, ms")
+    axes.set_ylabel("distance to FP64 truth")
+    return figure, axes, x_range, y_range
+
+
+def speed_error_figure(task):
+    """Time against distance to the FP64 truth of one task; None when nothing was measured."""
+    points = measured_points(task)
+    if not points:
+        return None
+    targets = target_times(task)
+    figure, axes, x_range, y_range = speed_error_axes((3.9, 2.9), points, targets)
     for target in targets:
         axes.axvline(target, color=GREEN, linewidth=1, linestyle=(0, (4, 3)), zorder=1)
 
@@ -134,9 +155,47 @@ def speed_error_figure(task):
         if p["role"] == "user":
             axes.annotate(p["label"], (number(p["milliseconds"]), number(p["truth_gap"])), fontsize=6.5, color=PURPLE,
                           xytext=(5, 3), textcoords="offset points")
-    axes.set_xlabel("time, ms")
-    axes.set_ylabel("distance to FP64 truth")
     axes.set_title(task["name"], fontsize=9, loc="left", fontweight="bold")
+    return data_uri(figure)
+
+
+def variant_groups(tasks):
+    """(name, tasks) of every group of measured tasks that are variants of one computation: of one family, and with the
+    same arrays and scalars going in and out."""
+    groups = {}
+    for task in tasks:
+        if any(p["role"] == "reference" and not p["overrides"] for p in measured_points(task)):
+            groups.setdefault((task["family"], task["interface"]), []).append(task)
+    named = []
+    for members in groups.values():
+        if len(members) > 1:
+            prefix = os.path.commonprefix([t["name"] for t in members])
+            named.append((prefix.rpartition("_")[0] or members[0]["family"], members))
+    return named
+
+
+def variants_figure(name, tasks):
+    """The references and fmad variants of one group in one picture, each task in a colour of its own, with its target."""
+    own = {t["name"]: [p for p in measured_points(t) if p["role"] in ("reference", "fmad") and not p["overrides"]]
+           for t in tasks}
+    targets = {t["name"]: target_times({**t, "timing": [main_timing(t)] if main_timing(t) else []}) for t in tasks}
+    figure, axes, _, _ = speed_error_axes((8.2, 3.6), [p for points in own.values() for p in points],
+                                          [target for times in targets.values() for target in times])
+    for index, task in enumerate(tasks):
+        points, color = own[task["name"]], VARIANT_COLOURS[index % len(VARIANT_COLOURS)]
+        for p in points:
+            fmad = p["role"] == "fmad"
+            axes.scatter(number(p["milliseconds"]), number(p["truth_gap"]), s=18 if fmad else 58,
+                         marker="D" if fmad else "o", facecolor="white" if p["set"].startswith("hidden") else color,
+                         edgecolor=color, linewidth=1.3, zorder=4 if fmad else 3)
+        main = next((p for p in points if p["role"] == "reference" and p["set"] == "public"), points[0])
+        x, y = number(main["milliseconds"]), number(main["truth_gap"])
+        for target in targets[task["name"]]:
+            axes.plot([target, x], [y, y], color=color, linewidth=0.8, linestyle=(0, (2, 2)), zorder=1)
+            axes.scatter(target, y, marker="|", s=130, color=color, linewidth=2.2, zorder=2)
+        axes.annotate(task["name"].removeprefix(name).strip("_") or task["name"], (x, y), fontsize=8, color=color,
+                      xytext=(0, 8), textcoords="offset points", ha="center", fontweight="bold", zorder=5)
+    axes.set_title(name, fontsize=9, loc="left", fontweight="bold")
     return data_uri(figure)
 
 
@@ -396,7 +455,8 @@ def make_page(data):
     environment.filters["short"] = short
     return environment.get_template("page.html.j2").render(
         data=data, tasks=tasks, states=sorted(states.items()), devices=devices, figure_windows=window_overview(tasks),
-        figure_timing=timing_figure(tasks), number=number)
+        figure_timing=timing_figure(tasks), number=number,
+        figures_variants=[(name, variants_figure(name, members)) for name, members in variant_groups(tasks)])
 
 
 def main():

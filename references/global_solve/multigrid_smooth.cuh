@@ -26,6 +26,7 @@
 #include <type_traits>
 
 #include "references/global_solve/multigrid_level.cuh"
+#include "references/global_solve/multigrid_pieces.cuh"
 
 namespace gpuphys::multigrid {
 
@@ -40,7 +41,6 @@ struct SmoothPolicy {
   static constexpr int gates_lead = 12;  // the copy engine fetches bytes from multiples of 16 only
   static constexpr int gates_width = e_width + 24;
   static constexpr int barriers = 4;
-  static constexpr float omega = 1.15f;  // best for red-black relaxation of a three-dimensional Laplacian
 };
 
 /// Shape of a pass's tile. `kRows` counts the rows a block updates.
@@ -80,6 +80,8 @@ struct SmoothArgs {
   float* partials;       // per block: sums of r^2, rhs^2 and, over active cells, x; null: not wanted
   const int* done;       // the pass does nothing when set
   int planes_per_block;  // even
+  const Piece* pieces;   // one for each block; null: all tiles, planes_per_block each
+  float omega[2];        // relaxation of red and black cells
 };
 
 __device__ __forceinline__ unsigned shared_address(const void* p) {
@@ -134,7 +136,8 @@ __device__ __forceinline__ void store4(float* p, const float (&v)[4]) {
   *reinterpret_cast<float4*>(p) = make_float4(v[0], v[1], v[2], v[3]);
 }
 
-template <int kRows, bool kProlong, bool kRestrict>
+/// `kHeldWalls`: there may be faces at which the solution is held at zero.
+template <int kRows, bool kProlong, bool kRestrict, bool kHeldWalls>
 __global__ void __launch_bounds__(SmoothTile<kRows, kProlong, kRestrict>::threads, 1)
     smooth(const __grid_constant__ SmoothArgs g) {
   using P = SmoothPolicy;
@@ -163,10 +166,13 @@ __global__ void __launch_bounds__(SmoothTile<kRows, kProlong, kRestrict>::thread
     return coarse_base + T::e_bytes * P::coarse_slots + T::gates_bytes * slot_of(plane, P::coarse_slots);
   };
 
-  const int j0 = static_cast<int>(blockIdx.y) * kRows - T::halo;
-  const int k0 = static_cast<int>(blockIdx.x) * P::columns - P::halo_z;
-  const int begin = static_cast<int>(blockIdx.z) * g.planes_per_block;
-  const int end = min(begin + g.planes_per_block, g.nx);
+  Piece piece{static_cast<int>(blockIdx.y), static_cast<int>(blockIdx.x),
+              static_cast<int>(blockIdx.z) * g.planes_per_block, 0};
+  piece.end = min(piece.begin + g.planes_per_block, g.nx);
+  if (g.pieces) piece = g.pieces[blockIdx.x];
+  const int j0 = piece.y * kRows - T::halo;
+  const int k0 = piece.z * P::columns - P::halo_z;
+  const int begin = piece.begin, end = piece.end;
   const int first = begin - T::halo - (T::halo & 1), last = end - 1 + T::halo;  // first is even
   const int thread = static_cast<int>(threadIdx.x);
 
@@ -266,10 +272,11 @@ __global__ void __launch_bounds__(SmoothTile<kRows, kProlong, kRestrict>::thread
 #pragma unroll
       for (int e = 0; e < 4; ++e) r[e] -= p.ax[e] * x_high[e];
       const bool odd = ((i + j + colour) & 1) != 0;
+      const float omega = g.omega[colour];
       const float r0 = odd ? r[1] : r[0], r1 = odd ? r[3] : r[2];
       const float d0 = odd ? p.diag[1] : p.diag[0], d1 = odd ? p.diag[3] : p.diag[2];
-      const float step0 = d0 > 0.0f ? P::omega * reciprocal(d0) * r0 : 0.0f;
-      const float step1 = d1 > 0.0f ? P::omega * reciprocal(d1) * r1 : 0.0f;
+      const float step0 = d0 > 0.0f ? omega * reciprocal(d0) * r0 : 0.0f;
+      const float step1 = d1 > 0.0f ? omega * reciprocal(d1) * r1 : 0.0f;
       x[0] += odd ? 0.0f : step0;
       x[1] += odd ? step0 : 0.0f;
       x[2] += odd ? 0.0f : step1;
@@ -286,12 +293,19 @@ __global__ void __launch_bounds__(SmoothTile<kRows, kProlong, kRestrict>::thread
       const float* along_y = e + (j & 1 ? P::e_width : -P::e_width);
       const unsigned gate_x = i & 1 ? 1u : 2u, gate_y = j & 1 ? 4u : 8u;
       const float p0 = e[0], p1 = e[1];
-      const float x0 = g0 & gate_x ? along_x[0] : p0, x1 = g1 & gate_x ? along_x[1] : p1;
-      const float y0 = g0 & gate_y ? along_y[0] : p0, y1 = g1 & gate_y ? along_y[1] : p1;
-      x[0] += interpolate(p0, x0, y0, g0 & 32u ? e[-1] : p0);
-      x[1] += interpolate(p0, x0, y0, g0 & 16u ? p1 : p0);
-      x[2] += interpolate(p1, x1, y1, g1 & 32u ? p0 : p1);
-      x[3] += interpolate(p1, x1, y1, g1 & 16u ? e[2] : p1);
+      const bool in_x0 = g0 & gate_x, in_x1 = g1 & gate_x, in_y0 = g0 & gate_y, in_y1 = g1 & gate_y;
+      const float x0 = in_x0 ? along_x[0] : p0, x1 = in_x1 ? along_x[1] : p1;
+      const float y0 = in_y0 ? along_y[0] : p0, y1 = in_y1 ? along_y[1] : p1;
+      const float wall0 = kHeldWalls ? wall_weight(g0) : 1.0f, wall1 = kHeldWalls ? wall_weight(g1) : 1.0f;
+      const float w0 = (in_x0 ? 1.0f : wall0) * (in_y0 ? 1.0f : wall0);
+      const float w1 = (in_x1 ? 1.0f : wall1) * (in_y1 ? 1.0f : wall1);
+      const auto add = [](float& to, float weight, bool coupled, float wall, float correction) {
+        to += weight * (coupled ? 1.0f : wall) * correction;
+      };
+      add(x[0], w0, g0 & 32u, wall0, interpolate(p0, x0, y0, g0 & 32u ? e[-1] : p0));
+      add(x[1], w0, g0 & 16u, wall0, interpolate(p0, x0, y0, g0 & 16u ? p1 : p0));
+      add(x[2], w1, g1 & 32u, wall1, interpolate(p1, x1, y1, g1 & 32u ? p0 : p1));
+      add(x[3], w1, g1 & 16u, wall1, interpolate(p1, x1, y1, g1 & 16u ? e[2] : p1));
     };
 
     // x1 is plane s-1 and so on, likewise p1; ax4 couples plane s-4 to plane s-3.
@@ -341,7 +355,14 @@ __global__ void __launch_bounds__(SmoothTile<kRows, kProlong, kRestrict>::thread
         store4(x_base + x_at1 + mine, x1);
         if constexpr (kRestrict) store4(x_base + x_at2 + mine, x2);
       }
-      if (owned && s - 2 >= begin && s - 2 < end) {
+      bool in_piece;  // the way up spills a register if asked about both ends one by one, the way down else
+      if constexpr (kRestrict) {
+        in_piece = s - 2 >= begin && s - 2 < end;
+      } else {
+        in_piece = static_cast<unsigned>(s - first - 2 - (T::halo + (T::halo & 1))) <
+                   static_cast<unsigned>(end - begin);
+      }
+      if (owned && in_piece) {
         store4(g.x_out + ((s - 2) * g.ny + j) * g.pitch + k, x2);
 #pragma unroll
         for (int e = 0; e < 4; ++e) sum_x += p2.diag[e] > 0.0f ? x2[e] : 0.0f;

@@ -35,6 +35,21 @@ struct SolverPolicy {
   static constexpr int refresh_steps = 40;     // after these the recurrence is replaced by the true residual
   static constexpr int down_rows = 16;         // tile of the pass with a residual
   static constexpr int up_rows = 24;           // tile of the pass with a correction
+  static_assert(down_rows % PiecePolicy::granule_rows == 0 && up_rows % PiecePolicy::granule_rows == 0 &&
+                SmoothPolicy::columns == PiecePolicy::granule_columns);
+};
+
+/// What the cycle does best with depends on the coefficients; it converges for others too.
+struct Tuning {
+  /// Over-relaxation of red and black cells. 1.15 is best for red-black relaxation of a Laplacian.
+  float omega_down[2] = {1.15f, 1.15f}, omega_up[2] = {1.15f, 1.15f};
+  /// Coupling of the first coarse level over the sum of the fine ones. Half where conductances are smooth;
+  /// where they vary from face to face with mean m and variance v, what conducts at length is m (1 - v / (3
+  /// m^2)).
+  float first_coupling = 0.5f;
+  /// Passes over the fine grid leave out planes of tiles without an active cell. The host plans that while
+  /// the device coarsens, which costs 0.1 ms and more: not worth it where nearly all planes hold one.
+  bool leave_out_empty_planes = true;
 };
 
 /// Outcome of a solve, for tests and reports.
@@ -49,12 +64,13 @@ class Solver {
  public:
   /// Allocates for systems of this size. `singular` promises rows that sum to zero (pure Neumann): constants
   /// are then kept out of the coarse systems and the solution is returned with zero mean.
-  void allocate(int nx, int ny, int nz, bool singular) {
+  void allocate(int nx, int ny, int nz, bool singular, const Tuning& tuning = {}) {
     // Entries, with rows padded to four, are counted in 32 bits.
     if (nx < 1 || ny < 1 || nz < 1 || static_cast<double>(nx) * ny * ((nz + 3) / 4 * 4) > 2.1e9) {
       throw std::runtime_error("multigrid: the grid has no cells or more than 2.1e9");
     }
     singular_ = singular;
+    tuning_ = tuning;
     GPUPHYS_CUDA(cudaDeviceGetAttribute(&processors_, cudaDevAttrMultiProcessorCount, 0));
     levels_.resize(1);
     levels_[0].nx = nx, levels_[0].ny = ny, levels_[0].nz = nz, levels_[0].pitch = (nz + 3) / 4 * 4;
@@ -80,12 +96,15 @@ class Solver {
     } while (levels_.back().nx * levels_.back().ny * levels_.back().nz > 1);
     tail_ = 1;
     while (tail_ + 1 < static_cast<int>(levels_.size()) && cells_of(tail_) > TailPolicy::cells) ++tail_;
-    int most = KrylovPolicy::max_blocks;
-    for (int l = 0; l < tail_; ++l) {
-      const dim3 grid = smooth_grid<true>(levels_[l], nullptr);
-      most = std::max(most, static_cast<int>(grid.x * grid.y * grid.z));
-    }
-    partials_ = DeviceBuffer<float>(static_cast<std::size_t>(most) * KrylovPolicy::sums);
+    granules_y_ = (ny + PiecePolicy::granule_rows - 1) / PiecePolicy::granule_rows;
+    tiles_z_ = (nz + PiecePolicy::granule_columns - 1) / PiecePolicy::granule_columns;
+    const std::size_t granules = static_cast<std::size_t>(granules_y_) * tiles_z_ * nx;
+    live_ = DeviceBuffer<unsigned char>(granules);
+    host_live_ = PinnedBuffer<unsigned char>(granules);
+    const std::size_t most = most_pieces(nx, granules_y_ * tiles_z_);
+    for (Pieces* p : {&down_, &up_}) p->list = DeviceBuffer<Piece>(most), p->host = PinnedBuffer<Piece>(most);
+    partials_ = DeviceBuffer<float>(std::max(most, static_cast<std::size_t>(KrylovPolicy::max_blocks)) *
+                                    KrylovPolicy::sums);
     largest_ = DeviceBuffer<float>(scan_blocks());
     sums_ = DeviceBuffer<float>(scan_blocks());
     counts_ = DeviceBuffer<int>(scan_blocks());
@@ -125,6 +144,18 @@ class Solver {
     return report_;
   }
 
+  /// d = M r: one cycle of the solve's multigrid from zero, for the matrix of the last solve. Arrays in the
+  /// layout of matrix(0); d is left alone where there are no active cells around.
+  void apply_cycle(const float* r, float* d) {
+    GPUPHYS_CUDA(cudaMemsetAsync(const_cast<int*>(done()), 0, sizeof(int)));
+    precondition(r, d);
+  }
+
+  /// The matrices of the last solve: 0 is the one given, the last one has one cell.
+  int levels() const { return static_cast<int>(levels_.size()); }
+  const Matrix& matrix(int l) const { return levels_[static_cast<std::size_t>(l)].view; }
+  const Gates* gates(int l) const { return levels_[static_cast<std::size_t>(l)].gates.get(); }
+
   /// What the last solve did.
   const SolveReport& report() const { return report_; }
 
@@ -135,6 +166,12 @@ class Solver {
     DeviceBuffer<float> rhs, mid, x;       // mid: between the two passes of a cycle
     DeviceBuffer<Gates> gates;
     Matrix view;
+  };
+  // What a pass over the fine grid visits.
+  struct Pieces {
+    DeviceBuffer<Piece> list;
+    PinnedBuffer<Piece> host;
+    int count = 0;
   };
   struct Event {
     cudaEvent_t handle = nullptr;
@@ -165,7 +202,26 @@ class Solver {
     return std::min(1024, (cells() + 4 * KrylovPolicy::threads - 1) / (4 * KrylovPolicy::threads));
   }
 
+  void plan(Pieces& p, int rows) {
+    const std::vector<Piece> pieces = plan_pieces(host_live_.get(), levels_[0].nx, granules_y_, tiles_z_,
+                                                  rows / PiecePolicy::granule_rows, processors_);
+    std::copy(pieces.begin(), pieces.end(), p.host.get());
+    p.count = static_cast<int>(pieces.size());
+    GPUPHYS_CUDA(
+        cudaMemcpyAsync(p.list.get(), p.host.get(), sizeof(Piece) * pieces.size(), cudaMemcpyHostToDevice));
+  }
+
   void set_up(const float* b) {
+    const Level& fine = levels_[0];
+    const int granules = granules_y_ * tiles_z_;
+    const std::size_t marks = static_cast<std::size_t>(granules) * fine.nx;
+    if (tuning_.leave_out_empty_planes) {
+      mark_live<<<static_cast<unsigned>((marks + 7) / 8), 256>>>(active_, fine.nx, fine.ny, fine.nz,
+                                                                 fine.pitch, tiles_z_, granules, live_.get(),
+                                                                 x_[0].get(), x_[1].get());
+      GPUPHYS_CUDA(cudaMemcpyAsync(host_live_.get(), live_.get(), marks, cudaMemcpyDeviceToHost));
+      GPUPHYS_CUDA(cudaEventRecord(event_.handle));
+    }
     const int blocks = scan_blocks();
     scan_input<<<blocks, KrylovPolicy::threads>>>(b, active_, cells(), largest_.get(), sums_.get(),
                                                   counts_.get());
@@ -173,10 +229,16 @@ class Solver {
     for (std::size_t l = 1; l < levels_.size(); ++l) {
       Level& c = levels_[l];
       c.view = {c.diag.get(), c.ax.get(), c.ay.get(), c.az.get(), c.nx, c.ny, c.nz, c.pitch};
-      const MutableMatrix to{c.diag.get(), c.ax.get(), c.ay.get(), c.az.get(), c.gates.get()};
-      coarsen<<<static_cast<unsigned>((c.view.size() + 127) / 128), 128>>>(levels_[l - 1].view, c.view, to,
-                                                                           singular_);
+      const MutableMatrix to{c.diag.get(), c.ax.get(), c.ay.get(), c.az.get(), c.gates.get(), c.rhs.get()};
+      coarsen<<<static_cast<unsigned>((c.view.size() + 127) / 128), 128>>>(
+          levels_[l - 1].view, c.view, to,
+          coarsening_to(static_cast<int>(l), singular_, tuning_.first_coupling));
     }
+    if (!tuning_.leave_out_empty_planes) return;
+    // The host plans the passes while the device coarsens.
+    GPUPHYS_CUDA(cudaEventSynchronize(event_.handle));
+    plan(down_, SolverPolicy::down_rows);
+    plan(up_, SolverPolicy::up_rows);
   }
 
   // Tiles of a level, marching far enough along x for one wave of blocks.
@@ -249,8 +311,15 @@ class Solver {
     g.coarse_rhs = c.rhs.get(), g.coarse_ny = c.ny, g.coarse_pitch = c.pitch;
     g.partials = partials;
     g.done = done();
-    const dim3 grid = smooth_grid<kDown>(f, &g.planes_per_block);
-    const auto kernel = smooth<rows, !kDown, kDown>;
+    dim3 grid = smooth_grid<kDown>(f, &g.planes_per_block);
+    if (l == 0 && tuning_.leave_out_empty_planes) {
+      const Pieces& pieces = kDown ? down_ : up_;
+      g.pieces = pieces.list.get();
+      grid = dim3(static_cast<unsigned>(pieces.count));
+    }
+    std::copy_n(kDown ? tuning_.omega_down : tuning_.omega_up, 2, g.omega);
+    const auto kernel =
+        kDown || singular_ ? smooth<rows, !kDown, kDown, false> : smooth<rows, !kDown, kDown, !kDown>;
     GPUPHYS_CUDA(
         cudaFuncSetAttribute(kernel, cudaFuncAttributeMaxDynamicSharedMemorySize, Tile::shared_bytes));
     kernel<<<grid, Tile::threads, Tile::shared_bytes>>>(g);
@@ -273,6 +342,8 @@ class Solver {
     TailArgs g{};
     g.done = done();
     g.solo = 0;
+    std::copy_n(tuning_.omega_down, 2, g.omega[0]);
+    std::copy_n(tuning_.omega_up, 2, g.omega[1]);
     for (int l = tail_; l < static_cast<int>(levels_.size()); ++l) {
       const Level& c = level(l);
       g.level[g.levels++] = {c.view, c.gates.get(), c.x.get(), c.rhs.get()};
@@ -358,9 +429,17 @@ class Solver {
     return wait();
   }
 
+  void precondition(const float* r, float* d) {
+    pass_down(0, nullptr, x_[0].get(), r, false, nullptr);
+    coarse_correction();
+    pass_up(0, x_[0].get(), d, r, false, nullptr);
+  }
+
   void accelerate(float* x, bool from_zero, float tolerance, SolveReport& report) {
     const Matrix& a = levels_[0].view;
-    if (from_zero) GPUPHYS_CUDA(cudaMemsetAsync(x, 0, sizeof(float) * static_cast<std::size_t>(a.size())));
+    const std::size_t bytes = sizeof(float) * static_cast<std::size_t>(a.size());
+    if (from_zero) GPUPHYS_CUDA(cudaMemsetAsync(x, 0, bytes));
+    for (auto& v : d_) GPUPHYS_CUDA(cudaMemsetAsync(v.get(), 0, bytes));  // passes do not visit all of it
     const int blocks = vector_blocks();
     const float aim = SolverPolicy::safety * tolerance;
     const auto relative = [](const State& s) { return std::sqrt(s.r2 / s.rhs2); };
@@ -372,9 +451,7 @@ class Solver {
       s.kept = kept;
       for (int w = 0; w < KrylovPolicy::window; ++w) s.d[w] = d_[w].get(), s.q[w] = q_[w].get();
       float *d = d_[KrylovPolicy::window].get(), *q = q_[KrylovPolicy::window].get();
-      pass_down(0, nullptr, x_[0].get(), r_.get(), false, nullptr);
-      coarse_correction();
-      pass_up(0, x_[0].get(), d, r_.get(), false, nullptr);
+      precondition(r_.get(), d);
       apply_direction<<<blocks, KrylovPolicy::threads>>>(a, s, d, q, r_.get(), partials_.get());
       choose_step<<<1, 1024>>>(state_.get(), partials_.get(), blocks, kept);
       take_step<<<blocks, KrylovPolicy::threads>>>(a, s, d, q, x, r_.get(), state_.get(), partials_.get());
@@ -398,7 +475,11 @@ class Solver {
 
   SolveReport report_;
   bool singular_ = false;
-  int processors_ = 1, tail_ = 1;
+  Tuning tuning_;
+  int processors_ = 1, tail_ = 1, granules_y_ = 1, tiles_z_ = 1;
+  DeviceBuffer<unsigned char> live_;
+  PinnedBuffer<unsigned char> host_live_;
+  Pieces down_, up_;
   std::vector<Level> levels_;
   DeviceBuffer<float> x_[2], r_, partials_, largest_, sums_;
   std::vector<DeviceBuffer<float>> d_, q_;

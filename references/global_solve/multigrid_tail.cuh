@@ -31,6 +31,7 @@ struct TailArgs {
   int levels;  // the last one has one cell
   int solo;    // first level that one block does alone
   const int* done;
+  float omega[2][2];  // relaxation on the way down and up, of red and black cells
 };
 
 /// Sum over the couplings of cell (i,j,k) of coupling times value(neighbour's entry).
@@ -55,7 +56,8 @@ __device__ __forceinline__ Cell cell_of(const Matrix& a, int index) {
 }
 
 /// One half-sweep; (i + j + k) even is red (0).
-__device__ __forceinline__ void relax_colour(const TailLevel& l, int colour, int first, int stride) {
+__device__ __forceinline__ void relax_colour(const TailLevel& l, int colour, float omega, int first,
+                                             int stride) {
   const Matrix& a = l.a;
   const int half = (a.nz + 1) / 2;
   for (int q = first; q < a.nx * a.ny * half; q += stride) {
@@ -65,23 +67,21 @@ __device__ __forceinline__ void relax_colour(const TailLevel& l, int colour, int
     const int at = a.at(i, j, k);
     const float diag = a.diag[at], x = l.x[at];
     const float r = l.rhs[at] - diag * x - neighbour_sum(a, i, j, k, at, [&](int n) { return l.x[n]; });
-    if (diag > 0) l.x[at] = x + SmoothPolicy::omega * reciprocal(diag) * r;
+    if (diag > 0) l.x[at] = x + omega * reciprocal(diag) * r;
   }
 }
 
-__device__ __forceinline__ void relax_from_zero(const TailLevel& l, int first, int stride) {
+__device__ __forceinline__ void relax_from_zero(const TailLevel& l, const float (&omega)[2], int first,
+                                                int stride) {
   const Matrix& a = l.a;
-  const auto red = [&](int n) {
-    return a.diag[n] > 0 ? SmoothPolicy::omega * reciprocal(a.diag[n]) * l.rhs[n] : 0.0f;
-  };
+  const auto red = [&](int n) { return a.diag[n] > 0 ? omega[0] * reciprocal(a.diag[n]) * l.rhs[n] : 0.0f; };
   for (int q = first; q < a.nx * a.ny * a.nz; q += stride) {
     const Cell c = cell_of(a, q);
     float x = 0;
     if (((c.i + c.j + c.k) & 1) == 0) {
       x = red(c.at);
     } else if (a.diag[c.at] > 0) {
-      x = SmoothPolicy::omega * reciprocal(a.diag[c.at]) *
-          (l.rhs[c.at] - neighbour_sum(a, c.i, c.j, c.k, c.at, red));
+      x = omega[1] * reciprocal(a.diag[c.at]) * (l.rhs[c.at] - neighbour_sum(a, c.i, c.j, c.k, c.at, red));
     }
     l.x[c.at] = x;
   }
@@ -118,11 +118,16 @@ __device__ __forceinline__ void add_correction(const TailLevel& fine, const Tail
     const int parent = b.at(c.i >> 1, c.j >> 1, c.k >> 1);
     const unsigned gates = coarse.gates[parent];
     const float e = coarse.x[parent];
+    float weight = 1.0f;
     const auto towards = [&](int index, int axis, int step) {
       const bool up = (index & 1) != 0;
-      return gates & ((up ? 1u : 2u) << (2 * axis)) ? coarse.x[parent + (up ? step : -step)] : e;
+      if (gates & ((up ? 1u : 2u) << (2 * axis))) return coarse.x[parent + (up ? step : -step)];
+      weight *= wall_weight(gates);
+      return e;
     };
-    fine.x[c.at] += interpolate(e, towards(c.i, 0, b.plane()), towards(c.j, 1, b.pitch), towards(c.k, 2, 1));
+    const float along_x = towards(c.i, 0, b.plane()), along_y = towards(c.j, 1, b.pitch),
+                along_z = towards(c.k, 2, 1);
+    fine.x[c.at] += weight * interpolate(e, along_x, along_y, along_z);
   }
 }
 
@@ -130,7 +135,7 @@ template <class Sync>
 __device__ __forceinline__ void descend(const TailArgs& g, int from, int to, int first, int stride,
                                         Sync&& sync) {
   for (int l = from; l < to; ++l) {
-    relax_from_zero(g.level[l], first, stride);
+    relax_from_zero(g.level[l], g.omega[0], first, stride);
     sync();
     restrict_residual(g.level[l], g.level[l + 1], first, stride);
     sync();
@@ -143,9 +148,9 @@ __device__ __forceinline__ void ascend(const TailArgs& g, int from, int to, int 
   for (int l = from - 1; l >= to; --l) {
     add_correction(g.level[l], g.level[l + 1], first, stride);
     sync();
-    relax_colour(g.level[l], 0, first, stride);
+    relax_colour(g.level[l], 0, g.omega[1][0], first, stride);
     sync();
-    relax_colour(g.level[l], 1, first, stride);
+    relax_colour(g.level[l], 1, g.omega[1][1], first, stride);
     sync();
   }
 }

@@ -25,7 +25,7 @@ class Reference {
  public:
   void allocate(const Inputs& in, const Outputs<float>&) {
     solver_.allocate(static_cast<int>(in.b.shape[0]), static_cast<int>(in.b.shape[1]),
-                     static_cast<int>(in.b.shape[2]), true);
+                     static_cast<int>(in.b.shape[2]), true, {.leave_out_empty_planes = false});
   }
 
   void compute(const Inputs& in, const Outputs<float>& out) {

@@ -1,12 +1,16 @@
 // D3Q19 and D3Q27 lattices for the references: velocity tables, two-relaxation-time (TRT) collision in
-// registers, and periodic streaming whose stores are whole aligned lines.
+// registers, and periodic streaming whose stores are whole aligned lines. launch_step() changes cells and
+// moves their populations, launch_collision() only changes cells, launch_streaming() only moves.
 //
 // Streaming by +-1 along z, the contiguous index, would shift a warp's store by one element: five sectors
 // instead of four, two of them partial. Here a block owns whole rows along z, so that the shift (with its
-// periodic wrap) is a permutation inside the block: populations that change z pass through shared memory and
-// every store is as coalesced and aligned as the load. The shifts along x and y only choose another row.
+// periodic wrap) is a permutation inside the block: a thread keeps two neighbouring cells, what leaves them
+// along z passes through shared memory, and every store is as coalesced and aligned as the load. The shifts
+// along x and y only choose another row.
+// Streaming alone needs no whole cells: a thread shifts four neighbours in registers.
 #pragma once
 
+#include <algorithm>
 #include <cstdint>
 #include <stdexcept>
 #include <type_traits>
@@ -169,68 +173,107 @@ __device__ __forceinline__ int target_row(const Grid& grid, int i, int j) {
   return (neighbour<L::c(q, 0)>(i, grid.nx) * grid.ny + neighbour<L::c(q, 1)>(j, grid.ny)) * grid.nz;
 }
 
-template <class Policy>
-__device__ __forceinline__ float load(const float* p) {
-  if constexpr (Policy::streaming_loads) return __ldcs(p);
-  return __ldg(p);
-}
-template <class Policy>
-__device__ __forceinline__ void store(float* p, float value) {
-  if constexpr (Policy::streaming_stores) {
-    __stcs(p, value);
-  } else {
-    *p = value;
+/// Reads or writes N neighbouring floats, 1, 2 or 4, in one access.
+template <int N>
+__device__ __forceinline__ void load_pack(const float* from, float (&values)[N]) {
+  static_assert(N == 1 || N == 2 || N == 4);
+  if constexpr (N == 1) values[0] = __ldg(from);
+  if constexpr (N == 2) {
+    const float2 pack = __ldg(reinterpret_cast<const float2*>(from));
+    values[0] = pack.x, values[1] = pack.y;
+  }
+  if constexpr (N == 4) {
+    const float4 pack = __ldg(reinterpret_cast<const float4*>(from));
+    values[0] = pack.x, values[1] = pack.y, values[2] = pack.z, values[3] = pack.w;
   }
 }
+template <int N>
+__device__ __forceinline__ void store_pack(float* to, const float (&values)[N]) {
+  if constexpr (N == 1) *to = values[0];
+  // The compiler takes plain assignments of vectors apart.
+  if constexpr (N == 2)
+    asm volatile("st.global.v2.f32 [%0], {%1, %2};" ::"l"(to), "f"(values[0]), "f"(values[1]) : "memory");
+  if constexpr (N == 4)
+    asm volatile("st.global.v4.f32 [%0], {%1, %2, %3, %4};" ::"l"(to), "f"(values[0]), "f"(values[1]),
+                 "f"(values[2]), "f"(values[3])
+                 : "memory");
+}
 
-/// All populations of a cell.
-template <class L, class Policy>
-__device__ __forceinline__ void load_cell(const float* __restrict__ f, const Grid& grid, int cell,
-                                          float (&populations)[L::Q]) {
-  const float* from = f + cell;
+/// Are `floats` whole packs of N, and both arrays aligned to one?
+template <int N>
+bool in_packs(const void* f, const void* out, std::int64_t floats) {
+  const auto addresses = reinterpret_cast<std::uintptr_t>(f) | reinterpret_cast<std::uintptr_t>(out);
+  return floats % N == 0 && addresses % (N * sizeof(float)) == 0;
+}
+
+/// Blocks of whole rows along z, for a step. Evict-first loads and stores gained nothing and made the time
+/// depend on where the arrays happen to lie: there are no such options.
+template <int Threads, int BlocksPerSm>
+struct RowPolicy {
+  static constexpr int threads = Threads;            ///< a block: as many rows as they can own
+  static constexpr int blocks_per_sm = BlocksPerSm;  ///< that must fit an SM (limits registers)
+};
+
+/// All populations of N neighbouring cells along z.
+template <class L, int N>
+__device__ __forceinline__ void load_cells(const float* __restrict__ from, const std::int64_t plane,
+                                           float (&populations)[N][L::Q]) {
   unrolled<0, L::Q>([&](auto direction) {
     constexpr int q = decltype(direction)::value;
-    populations[q] = load<Policy>(from + q * grid.plane);
+    float pack[N];
+    load_pack(from + q * plane, pack);
+#pragma unroll
+    for (int n = 0; n < N; ++n) populations[n][q] = pack[n];
   });
 }
 
-/// One step where a block owns whole rows: threadIdx.x is z, blockDim.x = nz; threadIdx.y is one of
-/// blockDim.y neighbouring rows along y; blockIdx.y is x. Threads beyond the last row repeat it and store
-/// nothing.
-template <class L, class Policy, class Cell>
-__global__ void __launch_bounds__(Policy::longest_row, Policy::blocks_per_sm)
+/// One step where a block owns whole rows: thread threadIdx.x of blockDim.x = nz / N has N neighbouring cells
+/// of its row; threadIdx.y is one of blockDim.y neighbouring rows along y; blockIdx.y is x. Threads beyond
+/// the last row repeat it and store nothing.
+template <class L, class Policy, int N, class Cell>
+__global__ void __launch_bounds__(Policy::threads, Policy::blocks_per_sm)
     step_rows(const float* __restrict__ f, float* __restrict__ out, const __grid_constant__ Grid grid,
               const __grid_constant__ Cell change) {
-  __shared__ float shifted[L::slots][Policy::longest_row];
-  const int k = static_cast<int>(threadIdx.x), i = static_cast<int>(blockIdx.y);
+  __shared__ float passed[L::slots][Policy::threads];
+  const int t = static_cast<int>(threadIdx.x), k = N * t, i = static_cast<int>(blockIdx.y);
   const int row = static_cast<int>(blockIdx.x * blockDim.y + threadIdx.y);
   const int j = min(row, grid.ny - 1);
   const int first = static_cast<int>(threadIdx.y * blockDim.x);  // of this row in shared memory
 
-  float populations[L::Q];
-  load_cell<L, Policy>(f, grid, (i * grid.ny + j) * grid.nz + k, populations);
-  change(populations);
+  float populations[N][L::Q];
+  load_cells<L, N>(f + ((i * grid.ny + j) * grid.nz + k), grid.plane, populations);
+#pragma unroll
+  for (int n = 0; n < N; ++n) change(populations[n]);
 
+  // Of the populations that change z, one leaves a thread's cells.
   unrolled<0, L::Q>([&](auto direction) {
-    constexpr int q = decltype(direction)::value;
-    if constexpr (L::c(q, 2) != 0)
-      shifted[L::slot(q)][first + neighbour<L::c(q, 2)>(k, grid.nz)] = populations[q];
+    constexpr int q = decltype(direction)::value, cz = L::c(q, 2);
+    if constexpr (cz != 0)
+      passed[L::slot(q)][first + neighbour<cz>(t, static_cast<int>(blockDim.x))] =
+          populations[cz > 0 ? N - 1 : 0][q];
   });
   // Those that stay at their z need not wait for the other warps.
   if (row < grid.ny) {
     unrolled<0, L::Q>([&](auto direction) {
       constexpr int q = decltype(direction)::value;
-      if constexpr (L::c(q, 2) == 0)
-        store<Policy>(out + q * grid.plane + (target_row<L, q>(grid, i, j) + k), populations[q]);
+      if constexpr (L::c(q, 2) == 0) {
+        float pack[N];
+#pragma unroll
+        for (int n = 0; n < N; ++n) pack[n] = populations[n][q];
+        store_pack(out + q * grid.plane + (target_row<L, q>(grid, i, j) + k), pack);
+      }
     });
   }
   __syncthreads();
   if (row < grid.ny) {
     unrolled<0, L::Q>([&](auto direction) {
-      constexpr int q = decltype(direction)::value;
-      if constexpr (L::c(q, 2) != 0) {
-        store<Policy>(out + q * grid.plane + (target_row<L, q>(grid, i, j) + k),
-                      shifted[L::slot(q)][first + k]);
+      constexpr int q = decltype(direction)::value, cz = L::c(q, 2);
+      if constexpr (cz != 0) {
+        float pack[N];
+        pack[cz > 0 ? 0 : N - 1] = passed[L::slot(q)][first + t];
+#pragma unroll
+        for (int n = 1; n < N; ++n) pack[cz > 0 ? n : n - 1] = populations[cz > 0 ? n - 1 : n][q];
+        store_pack(out + q * grid.plane + (target_row<L, q>(grid, i, j) + k), pack);
       }
     });
   }
@@ -245,37 +288,185 @@ __global__ void __launch_bounds__(Policy::threads)
   if (cell >= grid.plane) return;
   const int rows = static_cast<int>(cell) / grid.nz, k = static_cast<int>(cell) - rows * grid.nz;
   const int i = rows / grid.ny, j = rows - i * grid.ny;
-  float populations[L::Q];
-  load_cell<L, Policy>(f, grid, static_cast<int>(cell), populations);
-  change(populations);
+  float populations[1][L::Q];
+  load_cells<L, 1>(f + cell, grid.plane, populations);
+  change(populations[0]);
   unrolled<0, L::Q>([&](auto direction) {
     constexpr int q = decltype(direction)::value;
     const int to = target_row<L, q>(grid, i, j) + neighbour<L::c(q, 2)>(k, grid.nz);
-    store<Policy>(out + q * grid.plane + to, populations[q]);
+    out[q * grid.plane + to] = populations[0][q];
+  });
+}
+
+/// A line of cells, for a collision.
+template <int Threads, int Cells, int BlocksPerSm>
+struct LinePolicy {
+  static constexpr int threads = Threads;            ///< a block
+  static constexpr int cells = Cells;                ///< a thread: 1, 2 or 4
+  static constexpr int blocks_per_sm = BlocksPerSm;  ///< that must fit an SM (limits registers)
+};
+
+/// Applies `change` to every cell; populations stay where they are. A thread owns N neighbouring cells.
+template <class L, class Policy, int N, class Cell>
+__global__ void __launch_bounds__(Policy::threads, Policy::blocks_per_sm)
+    change_cells(const float* __restrict__ f, float* __restrict__ out, const std::int64_t plane,
+                 const __grid_constant__ Cell change) {
+  const std::int64_t first = N * (blockIdx.x * std::int64_t{Policy::threads} + threadIdx.x);
+  if (first >= plane) return;
+  float populations[N][L::Q];
+  load_cells<L, N>(f + first, plane, populations);
+#pragma unroll
+  for (int n = 0; n < N; ++n) change(populations[n]);
+  unrolled<0, L::Q>([&](auto direction) {
+    constexpr int q = decltype(direction)::value;
+    float pack[N];
+#pragma unroll
+    for (int n = 0; n < N; ++n) pack[n] = populations[n][q];
+    store_pack(out + q * plane + first, pack);
+  });
+}
+
+/// Launches a collision without streaming.
+template <class L, class Policy, class Cell>
+void launch_collision(const View<const float, 4>& f, float* out, const Cell& change) {
+  const std::int64_t plane = make_grid(f).plane;
+  const auto launch = [&](auto cells) {
+    constexpr int N = decltype(cells)::value, per_block = N * Policy::threads;
+    change_cells<L, Policy, N, Cell>
+        <<<static_cast<unsigned>((plane + per_block - 1) / per_block), Policy::threads>>>(f.data, out, plane,
+                                                                                          change);
+  };
+  if (in_packs<Policy::cells>(f.data, out, plane)) {
+    launch(std::integral_constant<int, Policy::cells>{});
+  } else {
+    launch(std::integral_constant<int, 1>{});
+  }
+}
+
+/// Populations one after the other, for streaming.
+template <int Threads, int Pieces>
+struct CopyPolicy {
+  static constexpr int threads = Threads;  ///< a block
+  static constexpr int pieces = Pieces;    ///< of four populations that a thread moves
+  /// For rows that are not whole pieces.
+  using Rows = RowPolicy<Threads, 512 / Threads>;
+};
+
+/// Reads what moves to cells k ... k+3 of a row of nz cells along z, for velocity C along z. The fourth
+/// value, from beside the aligned four, is in the cache: it is one of a neighbouring thread's.
+template <int C>
+__device__ __forceinline__ void load_moved(const float* row, int k, int nz, float (&values)[4]) {
+  load_pack(row + k, values);
+  if constexpr (C > 0) {
+    values[3] = values[2], values[2] = values[1], values[1] = values[0];
+    values[0] = __ldg(row + neighbour<-1>(k, nz));
+  }
+  if constexpr (C < 0) {
+    values[0] = values[1], values[1] = values[2], values[2] = values[3];
+    values[3] = __ldg(row + neighbour<1>(k + 3, nz));
+  }
+}
+
+/// Streaming alone: a block copies a piece of one plane of constant x of one population, blockIdx.z, so that
+/// few places of memory are open at a time; blockIdx.y is x. Rows along z are pieces of four, so that every
+/// access but the one beside them is 16 aligned bytes. Threads beyond the last piece repeat it and store
+/// nothing.
+template <class L, class Policy>
+__global__ void __launch_bounds__(Policy::threads)
+    move_planes(const float* __restrict__ f, float* __restrict__ out, const __grid_constant__ Grid grid) {
+  const int pieces = grid.nz / 4, count = grid.ny * pieces, i = static_cast<int>(blockIdx.y);
+  const int first = static_cast<int>(blockIdx.x * (Policy::threads * Policy::pieces) + threadIdx.x);
+  unrolled<0, L::Q>([&](auto direction) {
+    constexpr int q = decltype(direction)::value;
+    if (blockIdx.z != q) return;
+    const float* from = f + q * grid.plane + static_cast<std::int64_t>(i) * grid.ny * grid.nz;
+    float moved[Policy::pieces][4];
+    int to[Policy::pieces];
+#pragma unroll
+    for (int n = 0; n < Policy::pieces; ++n) {
+      const int item = min(first + n * Policy::threads, count - 1);
+      const int j = item / pieces, k = 4 * (item - j * pieces);
+      load_moved<L::c(q, 2)>(from + j * grid.nz, k, grid.nz, moved[n]);
+      to[n] = target_row<L, q>(grid, i, j) + k;
+    }
+#pragma unroll
+    for (int n = 0; n < Policy::pieces; ++n) {
+      if (first + n * Policy::threads < count) store_pack(out + q * grid.plane + to[n], moved[n]);
+    }
   });
 }
 
 /// Launches one step: `change` is applied to the populations of every cell, which then move by their
 /// velocities.
-///
-/// Policy: `longest_row`, the longest row that a block owns (a multiple of 32; also sizes shared memory);
-/// `threads`, what several short rows or the cells of long ones are gathered to; `blocks_per_sm`, blocks of
-/// longest_row that must fit an SM (limits registers); `streaming_loads` and `streaming_stores`, evict-first.
 template <class L, class Policy, class Cell>
 void launch_step(const View<const float, 4>& f, float* out, const Cell& change) {
-  static_assert(Policy::threads <= Policy::longest_row);
   const Grid grid = make_grid(f);
-  if (grid.nz <= Policy::longest_row && grid.nx <= 65535) {
-    int rows = Policy::threads / grid.nz;
-    rows = rows < 1 ? 1 : rows > grid.ny ? grid.ny : rows;
-    const dim3 block(static_cast<unsigned>(grid.nz), static_cast<unsigned>(rows));
+  const auto launch_rows = [&](auto cells) {
+    constexpr int N = decltype(cells)::value;
+    const int per_row = grid.nz / N, rows = std::min(Policy::threads / per_row, grid.ny);
+    const dim3 block(static_cast<unsigned>(per_row), static_cast<unsigned>(rows));
     const dim3 blocks(static_cast<unsigned>((grid.ny + rows - 1) / rows), static_cast<unsigned>(grid.nx));
-    step_rows<L, Policy, Cell><<<blocks, block>>>(f.data, out, grid, change);
+    step_rows<L, Policy, N, Cell><<<blocks, block>>>(f.data, out, grid, change);
+  };
+  const bool owned = grid.nx <= 65535;
+  if (owned && grid.nz <= 2 * Policy::threads && in_packs<2>(f.data, out, grid.nz)) {
+    launch_rows(std::integral_constant<int, 2>{});
+  } else if (owned && grid.nz <= Policy::threads) {
+    launch_rows(std::integral_constant<int, 1>{});
   } else {
     const std::int64_t blocks = (grid.plane + Policy::threads - 1) / Policy::threads;
     step_cells<L, Policy, Cell>
         <<<static_cast<unsigned>(blocks), Policy::threads>>>(f.data, out, grid, change);
   }
 }
+
+/// Launches streaming alone.
+template <class L, class Policy>
+void launch_streaming(const View<const float, 4>& f, float* out) {
+  const Grid grid = make_grid(f);
+  if (grid.nx > 65535 || !in_packs<4>(f.data, out, grid.nz)) {
+    launch_step<L, typename Policy::Rows>(f, out, NoCollision<L>{});
+    return;
+  }
+  constexpr int per_block = Policy::threads * Policy::pieces;
+  const std::int64_t blocks = (std::int64_t{grid.ny} * (grid.nz / 4) + per_block - 1) / per_block;
+  const dim3 shape(static_cast<unsigned>(blocks), static_cast<unsigned>(grid.nx), L::Q);
+  move_planes<L, Policy><<<shape, Policy::threads>>>(f.data, out, grid);
+}
+
+/// What the references of the tasks have in common: no memory of their own, and a grid that must be small
+/// enough.
+struct Stateless {
+  void allocate(const auto& in, const auto&) { make_grid(in.f); }
+};
+
+/// What is best for streaming in both lattices.
+#ifdef GPUPHYS_OTHER_BLOCKS
+using StreamingPolicy = CopyPolicy<64, 1>;
+#else
+using StreamingPolicy = CopyPolicy<256, 4>;
+#endif
+
+/// Reference of a task that streams.
+template <class L, class Policy>
+struct Streaming : Stateless {
+  void compute(const auto& in, const auto& out) { launch_streaming<L, Policy>(in.f, out.f.data); }
+};
+
+/// Reference of a task that collides.
+template <class L, class Policy>
+struct Collision : Stateless {
+  void compute(const auto& in, const auto& out) {
+    launch_collision<L, Policy>(in.f, out.f.data, TrtCollision<L>::make(in.tau_plus, in.magic));
+  }
+};
+
+/// Reference of a task that collides, then streams.
+template <class L, class Policy>
+struct CollisionThenStreaming : Stateless {
+  void compute(const auto& in, const auto& out) {
+    launch_step<L, Policy>(in.f, out.f.data, TrtCollision<L>::make(in.tau_plus, in.magic));
+  }
+};
 
 }  // namespace gpuphys::lbm

@@ -154,4 +154,24 @@ void step(const View<const float, 4>& f, const View<Real, 4>& out, bool streams,
   }
 }
 
+enum class Cell { keeps, collides };
+enum class Populations { stay, move };
+
+/// The baseline of a task: what every cell does with its populations, and whether they move then.
+template <int Q, class Real, Cell cell, Populations populations>
+class LatticeStep {
+ public:
+  void allocate(const auto&, const auto&) {}
+
+  void compute(const auto& in, const auto& out) {
+    constexpr bool streams = populations == Populations::move;
+    if constexpr (cell == Cell::collides) {
+      const TrtCollision<Q, Real> collision(in.tau_plus, in.magic);
+      step<Q, Real>(in.f, out.f, streams, [&](std::array<Real, Q>& f) { collision.collide(f); });
+    } else {
+      step<Q, Real>(in.f, out.f, streams, [](std::array<Real, Q>&) {});
+    }
+  }
+};
+
 }  // namespace gpuphys::serial

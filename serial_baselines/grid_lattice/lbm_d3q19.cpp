@@ -1,5 +1,5 @@
-// Serial baseline of lbm_d3q19, written from cases/grid_lattice/lbm_d3q19.md alone: one cell at a time, plain
-// loops. Built as FP64 truth and as FP32 variants (Real).
+// Serial baseline of lbm_d3q19, written from cases/grid_lattice/lbm_d3q19.md alone: every cell collides, then
+// its populations move. Built as FP64 truth and as FP32 variants (Real).
 #include "cases/grid_lattice/lbm_d3q19.hpp"
 
 #include "core/module.hpp"
@@ -8,15 +8,7 @@
 namespace gpuphys::lbm_d3q19 {
 
 template <class Real>
-class Baseline {
- public:
-  void allocate(const Inputs&, const Outputs<Real>&) {}
-
-  void compute(const Inputs& in, const Outputs<Real>& out) {
-    const serial::TrtCollision<19, Real> collision(in.tau_plus, in.magic);
-    serial::step<19, Real>(in.f, out.f, true, [&](std::array<Real, 19>& f) { collision.collide(f); });
-  }
-};
+using Baseline = serial::LatticeStep<19, Real, serial::Cell::collides, serial::Populations::move>;
 
 }  // namespace gpuphys::lbm_d3q19
 

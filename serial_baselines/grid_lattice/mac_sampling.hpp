@@ -5,9 +5,11 @@
 // For FP64 it is harmless.
 #pragma once
 
+#include <algorithm>
 #include <array>
 #include <cmath>
 #include <cstdint>
+#include <utility>
 
 #include "core/module.hpp"
 
@@ -38,10 +40,12 @@ Point<Real> moved(Point<Real> p, const Vector<Real>& velocity, Real scale) {
   return p;
 }
 
-template <class Real>
-class MacVelocity {
+/// A vector field on the faces, with samples of type Sample.
+template <class Real, class Sample = float>
+class MacField {
  public:
-  MacVelocity(View<const float, 3> ux, View<const float, 3> uy, View<const float, 3> uz) : u_{ux, uy, uz} {}
+  using Component = View<const Sample, 3>;
+  MacField(Component x, Component y, Component z) : u_{x, y, z} {}
 
   /// All three components at a point.
   Vector<Real> at(const Point<Real>& p) const { return {component(0, p), component(1, p), component(2, p)}; }
@@ -49,25 +53,8 @@ class MacVelocity {
   /// Trilinear interpolation of component c; outside the hull of its samples, the value at the nearest point
   /// of the hull.
   Real component(int c, const Point<Real>& p) const {
-    const View<const float, 3>& u = u_[static_cast<std::size_t>(c)];
-    std::array<std::int64_t, 3> low;
-    std::array<Real, 3> weight;  // of the upper neighbour
-    for (std::size_t d = 0; d < 3; ++d) {
-      const Real shift = p.offset[d] - (static_cast<int>(d) == c ? Real(0) : Real(0.5));
-      const auto last = static_cast<Real>(u.shape[d] - 1);
-      const Real index = static_cast<Real>(p.cell[d]) + shift;
-      if (!(index > 0)) {
-        low[d] = 0;
-        weight[d] = 0;
-      } else if (index >= last) {
-        low[d] = u.shape[d] - 1;
-        weight[d] = 0;
-      } else {
-        const Real whole = std::floor(shift);
-        low[d] = p.cell[d] + static_cast<std::int64_t>(whole);
-        weight[d] = shift - whole;
-      }
-    }
+    const Component& u = u_[static_cast<std::size_t>(c)];
+    const auto [low, weight] = locate(c, p);
     Real value = 0;
     for (int a = 0; a < 2; ++a) {
       for (int b = 0; b < 2; ++b) {
@@ -82,8 +69,96 @@ class MacVelocity {
     return value;
   }
 
+  /// The smallest and the largest of the eight samples around a point: along each axis the last one not
+  /// beyond it and the next, or the two at the end of the axis.
+  std::pair<Real, Real> range(int c, const Point<Real>& p) const {
+    const Component& u = u_[static_cast<std::size_t>(c)];
+    std::array<std::int64_t, 3> first = locate(c, p).low, last;
+    for (std::size_t d = 0; d < 3; ++d) {
+      first[d] = std::max<std::int64_t>(std::min(first[d], u.shape[d] - 2), 0);
+      last[d] = std::min(first[d] + 1, u.shape[d] - 1);
+    }
+    Real low = u(first[0], first[1], first[2]), high = low;
+    for (const std::int64_t i : {first[0], last[0]}) {
+      for (const std::int64_t j : {first[1], last[1]}) {
+        for (const std::int64_t k : {first[2], last[2]}) {
+          low = std::min(low, static_cast<Real>(u(i, j, k)));
+          high = std::max(high, static_cast<Real>(u(i, j, k)));
+        }
+      }
+    }
+    return {low, high};
+  }
+
  private:
-  std::array<View<const float, 3>, 3> u_;
+  struct Location {
+    std::array<std::int64_t, 3> low;
+    std::array<Real, 3> weight;  // of the upper neighbour
+  };
+  Location locate(int c, const Point<Real>& p) const {
+    const Component& u = u_[static_cast<std::size_t>(c)];
+    Location at;
+    for (std::size_t d = 0; d < 3; ++d) {
+      const Real shift = p.offset[d] - (static_cast<int>(d) == c ? Real(0) : Real(0.5));
+      const auto last = static_cast<Real>(u.shape[d] - 1);
+      const Real index = static_cast<Real>(p.cell[d]) + shift;
+      if (!(index > 0)) {
+        at.low[d] = 0;
+        at.weight[d] = 0;
+      } else if (index >= last) {
+        at.low[d] = u.shape[d] - 1;
+        at.weight[d] = 0;
+      } else {
+        const Real whole = std::floor(shift);
+        at.low[d] = p.cell[d] + static_cast<std::int64_t>(whole);
+        at.weight[d] = shift - whole;
+      }
+    }
+    return at;
+  }
+
+  std::array<Component, 3> u_;
 };
+
+/// Sets every sample of the three components of a field to value(c, its face).
+template <class Real, class Value>
+void fill_faces(const std::array<View<Real, 3>, 3>& field, Value&& value) {
+  for (int c = 0; c < 3; ++c) {
+    const View<Real, 3>& u = field[static_cast<std::size_t>(c)];
+    for (std::int64_t i = 0; i < u.shape[0]; ++i) {
+      for (std::int64_t j = 0; j < u.shape[1]; ++j) {
+        for (std::int64_t k = 0; k < u.shape[2]; ++k) u(i, j, k) = value(c, face_centre<Real>(c, i, j, k));
+      }
+    }
+  }
+}
+
+/// The baseline of a semi-Lagrangian scheme: every component takes its value at the departure point of its
+/// face, Trace::departure(velocity, face, step), `step` being the cells travelled per unit velocity.
+template <class Real, class Trace>
+class SemiLagrangian {
+ public:
+  template <class Inputs, class Outputs>
+  void allocate(const Inputs&, const Outputs&) {}
+
+  template <class Inputs, class Outputs>
+  void compute(const Inputs& in, const Outputs& out) {
+    const MacField<Real> velocity{in.ux, in.uy, in.uz};
+    const Real step = static_cast<Real>(in.dt) / static_cast<Real>(in.dx);
+    fill_faces<Real>({out.ux, out.uy, out.uz}, [&](int c, const Point<Real>& face) {
+      return velocity.component(c, Trace::departure(velocity, face, step));
+    });
+  }
+};
+
+/// The point from which the midpoint rule reaches `from` in a step; with a negative step, the point it goes
+/// to.
+template <class Real>
+Point<Real> midpoint_departure(const MacField<Real>& velocity, const Point<Real>& from, Real step) {
+  const Vector<Real> k1 = velocity.at(from);
+  const Point<Real> middle = moved(from, k1, -step / 2);
+  const Vector<Real> k2 = velocity.at(middle);
+  return moved(from, k2, -step);
+}
 
 }  // namespace gpuphys::serial
