@@ -1,16 +1,17 @@
 // Neighbour search on the device: items sorted by the cells of a uniform grid, for any payload and any
 // cut-off.
 //
-// A build sorts in two levels and is four launches, each prepared during the one before
+// A build sorts in two levels and is three launches, each prepared during the one before
 // (dependent_launch.cuh), without a round trip to the host:
 //   1. find_bounds   bounding box and largest radius; its last block chooses the grid.
-//   2. count_items   a block counts its part of the items by bins, ranges of `bin_cells` cells, in shared
-//                    memory, and reserves its place in each bin: one atomic a bin and block, in whole
-//                    sectors.
-//   3. split_items   the same blocks write their items' records to their bins, one record a thread ahead.
-//   4. sort_bins     a block a bin: counts the bin's cells, writes their starts, and its records in order.
+//   2. split_items   every bin, a range of `bin_cells` cells, has room for `bin_items` records. A block takes
+//                    its items in tiles: it counts a tile by bins in shared memory, reserves the next places
+//                    in each (one atomic a bin and tile, neighbouring bins by neighbouring lanes), sorts the
+//                    tile's records by bins in shared memory and writes them in that order. What finds no
+//                    room goes to a common list.
+//   3. sort_bins     a block a bin: counts the bin's cells, writes their starts, and its records in order.
 //                    All in shared memory, and each record is ranked once; a bin with more than
-//                    `bin_items` goes through global memory instead.
+//                    `bin_items` goes through global memory instead, and looks for the rest in the list.
 // Cells are contiguous along z, so that the cells [z0, z1] of one column are one range of slots:
 // [start[row + z0], start[row + z1 + 1]).
 //
@@ -27,18 +28,21 @@
 //   __device__ Record record(int i) const;         of item i
 //   __device__ float3 position(const Record&) const;   the same as of its item, bit by bit
 //   __device__ void placed(const Grid&, int slot, const Record&) const;   told what comes to each slot
-//   Record* split;                                 scratch in device memory for `count` of them, aligned to
-//                                                  32 bytes
+//   Record* split;                                 scratch in device memory for NeighbourGrid::records() of
+//                                                  them, aligned to 32 bytes
 //   float4* sorted;                                receives the result, word by word: that of number w of
 //                                                  the record in slot s is sorted[w * count + s]
 //
-// What bounds it: memory, if waits are kept side by side. Records are written twice and read once, and
-// split_items writes them in runs of a few, by sectors: neighbouring lanes write the words of one record in
-// one instruction. A record of 32 or 64 bytes fills whole sectors, whereas a sector written in part may be
-// fetched from DRAM before it is written back (measured: 0.25 ms for 2M records of two separate 16-byte
-// stores). Keep other sizes rare. Loads are issued in batches, also at the end of a loop (indices are clamped
-// there), or go to shared memory without registers (cp.async). The grid is read from registers or shared
-// memory inside loops: a load of it would queue behind those of the items.
+// What bounds it: memory. Records are written twice and read once; a record of 32 or 64 bytes fills whole
+// sectors, whereas a sector written in part may be fetched from DRAM before it is written back (measured:
+// 0.25 ms for 2M records of two separate 16-byte stores). Keep other sizes rare. What pays:
+// - Tiles in the order of bins: all blocks sweep the bins at about the same time, and what they append to one
+//   is contiguous, so that lines are full, and their neighbours too, when L2 writes them back. Written in the
+//   order of the items, every sector would go to DRAM by itself.
+// - The next tile's records are under way while one is written.
+// - Loads are issued in batches, also at the end of a loop (indices are clamped there), or go to shared
+//   memory without registers (cp.async). The grid is read from registers or shared memory inside loops: a
+//   load of it would queue behind those of the items.
 #pragma once
 
 #include <cuda_runtime.h>
@@ -57,11 +61,12 @@ namespace gpuphys::neighbour_grid {
 struct DefaultPolicy {
   static constexpr int bounds_threads = 512;
   static constexpr int bounds_blocks = 3 * 132;  // one wave; also bounds the last block's share
-  static constexpr int split_threads = 768;      // counting and splitting: a block a part of the items
-  static constexpr int split_blocks = 2 * 132;   // one wave; fewer make longer runs
+  static constexpr int split_threads = 768;
+  static constexpr int split_each = 2;          // items of a thread in a tile
+  static constexpr int split_blocks = 2 * 132;  // one wave
   static constexpr int split_blocks_per_sm = 2;
   static constexpr int bin_cells = 1024;  // a multiple of four
-  static constexpr int bin_items = 1792;  // that fit in shared memory; at most 2^16
+  static constexpr int bin_items = 1792;  // that fit in a bin's place, and in shared memory; at most 2^16
   static constexpr int bin_threads = 512;
   static constexpr int bin_blocks_per_sm = 3;
   static constexpr int most_bins = 8192;  // counted in shared memory; cells grow where these are not enough
@@ -157,11 +162,11 @@ struct Storage {
   Bounds* partial;  // one a block of find_bounds
   int* start;       // first slot of each cell
   int* bin_count;   // items of each bin
-  int* bin_start;   // first slot of each bin, and behind the last the number of items
-  int* reserved;    // [block][bin]: items of other blocks that go before those of this one
+  int* left_over;   // number of records without room in their bin: they follow those of all bins
+  int* left_bin;    // and the bin of each
   int capacity;     // most cells a grid may have
   int bins;         // most bins
-  int part;         // items of a block of count_items and split_items: a multiple of 32
+  int tile;         // items that a block splits at a time
 };
 
 /// Bins in use: those of all cells.
@@ -177,18 +182,12 @@ __device__ __forceinline__ void copy_async(float4* to, const float4* from) {
       "l"(from)
       : "memory");
 }
-__device__ __forceinline__ void copy_async(int* to, const int* from) {
-  asm volatile(
-      "cp.async.ca.shared.global [%0], [%1], 4;" ::"r"(static_cast<unsigned>(__cvta_generic_to_shared(to))),
-      "l"(from)
-      : "memory");
-}
 // For the thread's own copies.
 __device__ __forceinline__ void wait_for_copies() {
   asm volatile("cp.async.wait_all;" ::: "memory");
 }
 
-/// Sum of the threads before this one. Called by all threads of the block, once.
+/// Sum of the threads before this one. Called by all threads of the block, with a barrier between two calls.
 template <int Threads>
 __device__ __forceinline__ int sum_before(int own, int* warps) {
   const int lane = static_cast<int>(threadIdx.x) % 32, warp = static_cast<int>(threadIdx.x) / 32;
@@ -285,6 +284,7 @@ __global__ void __launch_bounds__(Policy::bounds_threads)
   const int first = static_cast<int>(blockIdx.x * blockDim.x + threadIdx.x);
   const int stride = static_cast<int>(gridDim.x * blockDim.x);
   for (int c = first; c < s.bins; c += stride) s.bin_count[c] = 0;
+  if (first == 0) *s.left_over = 0;
 
   Bounds b = empty_bounds();
   // Loads of four items in flight, also at the end, where the last item is met again.
@@ -330,105 +330,109 @@ __global__ void __launch_bounds__(Policy::bounds_threads)
   }
 }
 
+/// Shared memory of split_items: a tile's records and their places, and two numbers of each bin.
 template <class Policy, class Source>
-__global__ void __launch_bounds__(Policy::split_threads)
-    count_items(const __grid_constant__ Source source, const __grid_constant__ Storage s) {
-  __shared__ int counts[Policy::most_bins];
-  allow_next();
-  wait_for_previous();
-  const int thread = static_cast<int>(threadIdx.x), block = static_cast<int>(blockIdx.x);
-  const Grid grid = *s.grid;
-  const int bins = bins_of<Policy>(grid);
-  for (int b = thread; b < bins; b += Policy::split_threads) counts[b] = 0;
-  __syncthreads();
-  const int begin = block * s.part, end = min(begin + s.part, source.count);
-  for (int i = begin + thread; i < end; i += 4 * Policy::split_threads) {
-    float3 p[4];  // loads of four items in flight
-#pragma unroll
-    for (int k = 0; k < 4; ++k) p[k] = source.position(min(i + k * Policy::split_threads, end - 1));
-#pragma unroll
-    for (int k = 0; k < 4; ++k) {
-      if (i + k * Policy::split_threads < end) atomicAdd(counts + cell_of(grid, p[k]) / Policy::bin_cells, 1);
-    }
-  }
-  __syncthreads();
-  int* const reserved = s.reserved + static_cast<std::size_t>(block) * s.bins;
-  for (int first = thread; first < bins; first += 4 * Policy::split_threads) {
-    int before[4];  // four under way
-#pragma unroll
-    for (int k = 0; k < 4; ++k) {
-      const int b = first + k * Policy::split_threads;
-      before[k] = b < bins ? atomicAdd(s.bin_count + b, counts[b]) : 0;
-    }
-#pragma unroll
-    for (int k = 0; k < 4; ++k) {
-      const int b = first + k * Policy::split_threads;
-      if (b < bins) reserved[b] = before[k];
-    }
-  }
+std::size_t split_bytes(int bins) {
+  return (sizeof(typename Source::Record) + sizeof(int)) * Policy::split_threads * Policy::split_each +
+         2 * sizeof(int) * static_cast<std::size_t>(bins);
 }
 
 template <class Policy, class Source>
 __global__ void __launch_bounds__(Policy::split_threads, Policy::split_blocks_per_sm)
     split_items(const __grid_constant__ Source source, const __grid_constant__ Storage s) {
   using Record = typename Source::Record;
-  constexpr int threads = Policy::split_threads, words = static_cast<int>(sizeof(Record) / sizeof(float4));
+  constexpr int threads = Policy::split_threads, each = Policy::split_each;
+  constexpr int words = static_cast<int>(sizeof(Record) / sizeof(float4));
+  constexpr int at_once = 4;  // atomics of a thread that are under way
   static_assert(sizeof(Record) % sizeof(float4) == 0 && threads % 32 == 0);
+  static_assert(threads * each <= 65536 && Policy::most_bins <= 65536);
   extern __shared__ float4 dynamic_shared[];
-  Record* const staged = reinterpret_cast<Record*>(dynamic_shared);
-  int* const next = reinterpret_cast<int*>(staged + threads);  // slot of each bin
-  int* const totals = next + s.bins;                           // and its items
+  Record* const staged = reinterpret_cast<Record*>(dynamic_shared);  // the tile's records by bins
+  int* const target = reinterpret_cast<int*>(staged + threads * each);
+  // Of each bin, x: its items in the tile, then where they begin among the tile's; y: those placed before.
+  int2* const of_bin = reinterpret_cast<int2*>(target + threads * each);
   __shared__ int warps[threads / 32];
-  const int thread = static_cast<int>(threadIdx.x), lane = thread % 32, block = static_cast<int>(blockIdx.x);
+  __shared__ Grid grid;
+  const int thread = static_cast<int>(threadIdx.x);
   allow_next();
-  const int begin = block * s.part, end = min(begin + s.part, source.count);
-  // The next record is under way while one is written; the first also while others are counted.
-  Record ahead = source.record(min(begin + thread, end - 1));
+  Record record[each];
+  const auto fetch = [&](int begin) {
+    const int last = min(begin + s.tile, source.count) - 1;
+#pragma unroll
+    for (int k = 0; k < each; ++k) record[k] = source.record(min(begin + thread + k * threads, last));
+  };
+  const int stride = static_cast<int>(gridDim.x) * s.tile;
+  int begin = static_cast<int>(blockIdx.x) * s.tile;
+  fetch(begin);
   wait_for_previous();
-  __shared__ Grid grid;  // registers are short, and global memory is behind the record in the queue
   if (thread == 0) grid = *s.grid;
   const int bins = bins_of<Policy>(*s.grid);
-  {
-    // Every block sums up the bins for itself: cheaper than a launch.
-    const int* const reserved = s.reserved + static_cast<std::size_t>(block) * s.bins;
-    for (int b = thread; b < bins; b += threads) {
-      copy_async(next + b, reserved + b);
-      copy_async(totals + b, s.bin_count + b);
-    }
-    wait_for_copies();
+  for (;;) {
+    const int items = min(s.tile, source.count - begin);
+    for (int b = thread; b < bins; b += threads) of_bin[b].x = 0;
     __syncthreads();
-    const int share = (bins + threads - 1) / threads;
-    const int first = min(thread * share, bins), last = min(first + share, bins);
-    int own = 0;
-    for (int b = first; b < last; ++b) own += totals[b];
-    int slot = sum_before<threads>(own, warps);
-    for (int b = first; b < last; ++b) {
-      next[b] += slot;
-      if (block == 0) s.bin_start[b] = slot;
-      slot += totals[b];
-    }
-    if (block == 0 && thread == 0) s.bin_start[bins] = source.count;
-  }
-  __syncthreads();
-  const float4* const from = reinterpret_cast<const float4*>(staged + (thread - lane));
-#pragma unroll 2  // no moves of what is on its way
-  for (int first = begin; first < end; first += threads) {
-    const int i = first + thread;
-    int slot = -1;
-    const Record record = ahead;
-    ahead = source.record(min(i + threads, end - 1));
-    if (i < end) {
-      staged[thread] = record;
-      slot = atomicAdd(next + cell_of(grid, source.position(record)) / Policy::bin_cells, 1);
-    }
-    __syncwarp();
+    unsigned found[each] = {};  // bins of the thread's items, and ranks among the tile's
 #pragma unroll
-    for (int k = 0; k < words; ++k) {
-      const int word = k * 32 + lane;
-      const int target = __shfl_sync(0xffffffffu, slot, word / words);
-      if (target >= 0) reinterpret_cast<float4*>(source.split + target)[word % words] = from[word];
+    for (int k = 0; k < each; ++k) {
+      if (thread + k * threads < items) {
+        const int bin = cell_of(grid, source.position(record[k])) / Policy::bin_cells;
+        found[k] = static_cast<unsigned>(bin) | static_cast<unsigned>(atomicAdd(&of_bin[bin].x, 1)) << 16;
+      }
     }
-    __syncwarp();  // before the next records are staged
+    __syncthreads();
+    // A thread's bins are `threads` apart, and the tile is sorted in the order of threads.
+    const auto reserve = [&](int b) { return of_bin[b].x > 0 ? atomicAdd(s.bin_count + b, of_bin[b].x) : 0; };
+    int reserved[at_once], own = 0;
+#pragma unroll
+    for (int k = 0; k < at_once; ++k) {
+      const int b = thread + k * threads;
+      reserved[k] = b < bins ? reserve(b) : 0;
+      own += b < bins ? of_bin[b].x : 0;
+    }
+#pragma unroll 1
+    for (int b = thread + at_once * threads; b < bins; b += threads) {
+      of_bin[b].y = reserve(b);
+      own += of_bin[b].x;
+    }
+    int place = sum_before<threads>(own, warps);
+    const auto begin_at_place = [&](int b) {
+      const int here = of_bin[b].x;
+      of_bin[b].x = place;
+      place += here;
+    };
+#pragma unroll
+    for (int k = 0; k < at_once; ++k) {
+      const int b = thread + k * threads;
+      if (b >= bins) continue;
+      begin_at_place(b);
+      of_bin[b].y = reserved[k];
+    }
+#pragma unroll 1
+    for (int b = thread + at_once * threads; b < bins; b += threads) begin_at_place(b);
+    __syncthreads();
+#pragma unroll
+    for (int k = 0; k < each; ++k) {
+      if (thread + k * threads < items) {
+        const int bin = static_cast<int>(found[k] & 0xffffu), rank = static_cast<int>(found[k] >> 16);
+        const int2 start = of_bin[bin];
+        const int to = start.x + rank, in_bin = start.y + rank;
+        staged[to] = record[k];
+        target[to] = bin * Policy::bin_items + in_bin;
+        if (in_bin >= Policy::bin_items) {
+          const int left = atomicAdd(s.left_over, 1);
+          s.left_bin[left] = bin;
+          target[to] = s.bins * Policy::bin_items + left;
+        }
+      }
+    }
+    __syncthreads();
+    begin += stride;
+    const bool more = begin < source.count;
+    if (more) fetch(begin);
+#pragma unroll 1  // few registers are left by what is under way
+    for (int word = thread; word < items * words; word += threads)
+      reinterpret_cast<float4*>(source.split + target[word / words])[word % words] = dynamic_shared[word];
+    if (!more) break;
   }
 }
 
@@ -454,11 +458,11 @@ __global__ void __launch_bounds__(Policy::bin_threads, Policy::bin_blocks_per_sm
   extern __shared__ float4 dynamic_shared[];  // the bin's records as they came
   __shared__ int4 cell_counts[bin_cells / 4];
   __shared__ unsigned short order[Policy::bin_items];  // which of them comes to each slot
-  __shared__ int warps[threads / 32];
+  __shared__ int warps[threads / 32], sums[threads / 32];
   int* const cells = reinterpret_cast<int*>(cell_counts);
-  const int begin = s.bin_start[bin], count = s.bin_start[bin + 1] - begin;
+  const int count = s.bin_count[bin];
   const bool fits = count <= Policy::bin_items;
-  const Record* const incoming = source.split + begin;
+  const Record* const incoming = source.split + static_cast<std::size_t>(bin) * Policy::bin_items;
   const auto staged = [&](int k) {
     Record record;
 #pragma unroll
@@ -476,11 +480,28 @@ __global__ void __launch_bounds__(Policy::bin_threads, Policy::bin_blocks_per_sm
     source.placed(grid, slot, record);
   };
 
+  // The records of a bin that does not fit.
+  const auto each_crowded = [&](auto&& body) {
+#pragma unroll 1
+    for (int k = thread; k < Policy::bin_items; k += threads) body(incoming[k]);
+    const int left = *s.left_over;
+    const Record* const others = source.split + static_cast<std::size_t>(s.bins) * Policy::bin_items;
+#pragma unroll 1
+    for (int k = thread; k < left; k += threads) {
+      if (s.left_bin[k] == bin) body(others[k]);
+    }
+  };
+
   if (fits) {
     const float4* const from = reinterpret_cast<const float4*>(incoming);
     for (int w = thread; w < count * words; w += threads)
       copy_async(dynamic_shared + w % words * row + w / words, from + w);
   }
+  // Of the bins before, while the records are under way.
+  int begin = 0;
+  for (int b = thread; b < bin; b += threads) begin += s.bin_count[b];
+  begin = __reduce_add_sync(0xffffffffu, begin);
+  if (thread % 32 == 0) sums[thread / 32] = begin;
   if (thread < bin_cells / 4) cell_counts[thread] = make_int4(0, 0, 0, 0);
   wait_for_copies();
   __syncthreads();
@@ -500,10 +521,11 @@ __global__ void __launch_bounds__(Policy::bin_threads, Policy::bin_blocks_per_sm
 #pragma unroll
     for (int j = 0; j < share; ++j) found[j] |= static_cast<unsigned>(rank[j]) << 16;
   } else {
-    for (int k = thread; k < count; k += threads) atomicAdd(cells + cell_in_bin(incoming[k]), 1);
+    each_crowded([&](const Record& record) { atomicAdd(cells + cell_in_bin(record), 1); });
   }
   __syncthreads();
 
+  begin = __reduce_add_sync(0xffffffffu, thread % 32 < threads / 32 ? sums[thread % 32] : 0);
   int4 counts = make_int4(0, 0, 0, 0);
   if (thread < bin_cells / 4) counts = cell_counts[thread];
   const int before = sum_before<threads>(counts.x + counts.y + counts.z + counts.w, warps);
@@ -518,10 +540,8 @@ __global__ void __launch_bounds__(Policy::bin_threads, Policy::bin_blocks_per_sm
   __syncthreads();
 
   if (!fits) {
-    for (int k = thread; k < count; k += threads) {
-      const Record record = incoming[k];
-      place(begin + atomicAdd(cells + cell_in_bin(record), 1), record);
-    }
+    each_crowded(
+        [&](const Record& record) { place(begin + atomicAdd(cells + cell_in_bin(record), 1), record); });
     return;
   }
 #pragma unroll
@@ -531,7 +551,10 @@ __global__ void __launch_bounds__(Policy::bin_threads, Policy::bin_blocks_per_sm
       order[cells[found[j] & 0xffffu] + static_cast<int>(found[j] >> 16)] = static_cast<unsigned short>(k);
   }
   __syncthreads();
-  for (int k = thread; k < count; k += threads) place(begin + k, staged(order[k]));
+  // Warps write whole lines.
+  for (int k = thread - begin % 32; k < count; k += threads) {
+    if (k >= 0) place(begin + k, staged(order[k]));
+  }
 }
 
 }  // namespace detail
@@ -547,8 +570,11 @@ class NeighbourGrid {
     const int most = Policy::most_bins * Policy::bin_cells;
     s_.capacity = static_cast<int>(std::min(wish, static_cast<double>(most)));
     s_.bins = (s_.capacity + Policy::bin_cells - 1) / Policy::bin_cells;
-    const auto part_of = [items](int blocks) { return (items + blocks - 1) / blocks; };
-    s_.part = static_cast<int>((part_of(Policy::split_blocks) + 31) / 32 * 32);
+    // As many tiles as blocks, or a multiple of it: one wave of equal blocks.
+    const auto shares = [items](std::int64_t of) { return (items + of - 1) / of; };
+    const std::int64_t rounds = shares(std::int64_t{Policy::split_blocks} * most_in_tile);
+    s_.tile = static_cast<int>(
+        std::min<std::int64_t>((shares(Policy::split_blocks * rounds) + 31) / 32 * 32, most_in_tile));
     bounds_blocks_ = static_cast<unsigned>(std::clamp<std::int64_t>(
         (items + Policy::bounds_threads - 1) / Policy::bounds_threads, 1, Policy::bounds_blocks));
     const auto bins = static_cast<std::size_t>(s_.bins);
@@ -556,17 +582,17 @@ class NeighbourGrid {
     partial_ = DeviceBuffer<detail::Bounds>(bounds_blocks_);
     start_ = DeviceBuffer<int>(bins * Policy::bin_cells + 1);
     bin_count_ = DeviceBuffer<int>(bins);
-    bin_start_ = DeviceBuffer<int>(bins + 1);
-    reserved_ = DeviceBuffer<int>(bins * Policy::split_blocks);
+    left_over_ = DeviceBuffer<int>(1);
+    left_bin_ = DeviceBuffer<int>(static_cast<std::size_t>(items));
     s_.grid = grid_.get();
     s_.partial = partial_.get();
     s_.start = start_.get();
     s_.bin_count = bin_count_.get();
-    s_.bin_start = bin_start_.get();
-    s_.reserved = reserved_.get();
+    s_.left_over = left_over_.get();
+    s_.left_bin = left_bin_.get();
     GPUPHYS_CUDA(cudaFuncSetAttribute(detail::split_items<Policy, Source>,
                                       cudaFuncAttributeMaxDynamicSharedMemorySize,
-                                      static_cast<int>(split_bytes<Source>())));
+                                      static_cast<int>(detail::split_bytes<Policy, Source>(s_.bins))));
     GPUPHYS_CUDA(cudaFuncSetAttribute(detail::sort_bins<Policy, Source>,
                                       cudaFuncAttributeMaxDynamicSharedMemorySize,
                                       static_cast<int>(bin_bytes<Source>())));
@@ -575,13 +601,18 @@ class NeighbourGrid {
   /// Sorts the items of `source` (at least one, at most as many as allocated for).
   template <class Source>
   void build(const Source& source) {
-    const unsigned parts = static_cast<unsigned>((source.count + s_.part - 1) / s_.part);
+    const int tiles = (source.count + s_.tile - 1) / s_.tile;
     detail::find_bounds<Policy><<<bounds_blocks_, Policy::bounds_threads>>>(source, s_);
-    launch_dependent(detail::count_items<Policy, Source>, parts, Policy::split_threads, 0, source, s_);
-    launch_dependent(detail::split_items<Policy, Source>, parts, Policy::split_threads, split_bytes<Source>(),
-                     source, s_);
+    launch_dependent(detail::split_items<Policy, Source>,
+                     static_cast<unsigned>(std::min(tiles, Policy::split_blocks)), Policy::split_threads,
+                     detail::split_bytes<Policy, Source>(s_.bins), source, s_);
     launch_dependent(detail::sort_bins<Policy, Source>, static_cast<unsigned>(s_.bins), Policy::bin_threads,
                      bin_bytes<Source>(), source, s_);
+  }
+
+  /// That Source::split has room for.
+  std::size_t records(std::int64_t items) const {
+    return static_cast<std::size_t>(s_.bins) * Policy::bin_items + static_cast<std::size_t>(items);
   }
 
   // For kernels launched after build(): by launch_dependent(), or as usual.
@@ -589,11 +620,8 @@ class NeighbourGrid {
   const int* start() const { return s_.start; }  ///< first slot of each cell, and the number of items
 
  private:
-  template <class Source>
-  std::size_t split_bytes() const {
-    return sizeof(typename Source::Record) * Policy::split_threads +
-           2 * sizeof(int) * static_cast<std::size_t>(s_.bins);
-  }
+  static constexpr int most_in_tile = Policy::split_threads * Policy::split_each;
+
   template <class Source>
   static std::size_t bin_bytes() {
     return sizeof(typename Source::Record) * detail::bin_row<Policy>;
@@ -603,7 +631,7 @@ class NeighbourGrid {
   unsigned bounds_blocks_ = 1;
   DeviceBuffer<Grid> grid_;
   DeviceBuffer<detail::Bounds> partial_;
-  DeviceBuffer<int> start_, bin_count_, bin_start_, reserved_;
+  DeviceBuffer<int> start_, bin_count_, left_over_, left_bin_;
 };
 
 }  // namespace gpuphys::neighbour_grid
