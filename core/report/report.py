@@ -169,8 +169,9 @@ def variant_groups(tasks):
     named = []
     for members in groups.values():
         if len(members) > 1:
-            prefix = os.path.commonprefix([t["name"] for t in members])
-            named.append((prefix.rpartition("_")[0] or members[0]["family"], members))
+            words = [t["name"].split("_") for t in members]
+            first, last = os.path.commonprefix(words), os.path.commonprefix([w[::-1] for w in words])[::-1]
+            named.append(("_".join(first) or " ".join([members[0]["family"], *last]), members))
     return named
 
 

@@ -8,7 +8,7 @@
 // Mapping: the march of mac_advection.cuh twice, a thread a column of cells along x.
 //
 // What bounds it: the gathers of two midpoint traces, 107 loads and 706 instructions a cell in the first
-// march, 116 and 754 in the second, against 107 and 631 of advect_rk2: predicted 0.59 + 0.63 ms. What pays:
+// march, 114 and 746 in the second, against 107 and 631 of advect_rk2: 1.336 ms in the suite. What pays:
 // the bounds are stored, 8 bytes a face, instead of being found again by a second back-trace, which would be
 // another 96 gathers a cell; DRAM moves 202 MB in and 606 out, then 808 in and 202 out (0.43 ms), behind
 // them.
