@@ -52,7 +52,6 @@
 #include <cstdint>
 
 #include "core/module.hpp"
-#include "references/common/block_sum.cuh"
 #include "references/common/dependent_launch.cuh"
 #include "references/common/device_buffer.cuh"
 
@@ -186,6 +185,25 @@ __device__ __forceinline__ void copy_async(float4* to, const float4* from) {
 // For the thread's own copies.
 __device__ __forceinline__ void wait_for_copies() {
   asm volatile("cp.async.wait_all;" ::: "memory");
+}
+
+/// Sum of the threads before this one. Called by all threads of the block, with a barrier between two calls.
+template <int Threads>
+__device__ __forceinline__ int sum_before(int own, int* warps) {
+  const int lane = static_cast<int>(threadIdx.x) % 32, warp = static_cast<int>(threadIdx.x) / 32;
+  int sum = own;
+#pragma unroll
+  for (int offset = 1; offset < 32; offset *= 2) {
+    const int below = __shfl_up_sync(0xffffffffu, sum, offset);
+    if (lane >= offset) sum += below;
+  }
+  if (lane == 31) warps[warp] = sum;
+  __syncthreads();
+  int before = sum - own;
+  for (int w = 0; w < Threads / 32; ++w) {
+    if (w < warp) before += warps[w];
+  }
+  return before;
 }
 
 __device__ __forceinline__ Bounds empty_bounds() {

@@ -33,7 +33,6 @@
 
 #include "cases/local_interaction/contact_dem.hpp"
 #include "core/module.hpp"
-#include "references/common/approximate.cuh"
 #include "references/common/neighbour_grid.cuh"
 
 namespace gpuphys::contact_dem {
@@ -79,6 +78,23 @@ static_assert(Policy::run <= 32 && (Policy::run - Policy::at_once) % Policy::mor
 static_assert(Policy::queue >= columns && Policy::threads % 32 == 0);
 // Codes behind the last grain's: they may be read, but are not grains.
 constexpr int padding = Policy::at_once > Policy::more ? Policy::at_once : Policy::more;
+
+// Flushing results too small for the contract spares the code that would scale them.
+__device__ __forceinline__ float approximate_sqrt(float a) {
+  float root;
+  asm("sqrt.approx.ftz.f32 %0, %1;" : "=f"(root) : "f"(a));  // 1 ulp, and 0 for 0
+  return root;
+}
+__device__ __forceinline__ float approximate_rsqrt(float a) {
+  float root;
+  asm("rsqrt.approx.ftz.f32 %0, %1;" : "=f"(root) : "f"(a));
+  return root;
+}
+__device__ __forceinline__ float approximate_inverse(float a) {
+  float inverse;
+  asm("rcp.approx.ftz.f32 %0, %1;" : "=f"(inverse) : "f"(a));
+  return inverse;
+}
 
 // A grain, one sector.
 struct alignas(32) Grain {

@@ -11,7 +11,6 @@
 
 #include <cstdint>
 
-#include "references/common/approximate.cuh"
 #include "references/position_constraint/spring_tiles.cuh"
 
 namespace gpuphys::springs {
@@ -20,16 +19,29 @@ namespace gpuphys::springs {
 /// subnormal numbers.
 constexpr float kLeastSquare = 1.17549435e-38f;
 
+/// 1/a and 1/sqrt(a) of normal numbers, each within about one unit in the last place; without the branches
+/// that the library spends on subnormal ones.
+__device__ __forceinline__ float reciprocal(float a) {
+  float result;
+  asm("rcp.approx.ftz.f32 %0, %1;" : "=f"(result) : "f"(a));
+  return result;
+}
+__device__ __forceinline__ float reciprocal_root(float a) {
+  float result;
+  asm("rsqrt.approx.ftz.f32 %0, %1;" : "=f"(result) : "f"(a));
+  return result;
+}
+
 /// Change of a spring's multiplier in one iteration, before averaging (XPBD equation 18).
 /// `shifted_rest` is rest - alpha lambda.
 __device__ __forceinline__ float multiplier_step(float length, float shifted_rest, float alpha,
                                                  float inv_mass_sum, float valence) {
-  return -(length - shifted_rest) * approximate_inverse((inv_mass_sum + alpha) * valence);
+  return -(length - shifted_rest) * reciprocal((inv_mass_sum + alpha) * valence);
 }
 
 /// Square root and its reciprocal of a positive normal number, each within about one unit in the last place.
 __device__ __forceinline__ void length_of(float square, float& length, float& inverse) {
-  inverse = approximate_rsqrt(square);
+  inverse = reciprocal_root(square);
   length = square * inverse;
   length += 0.5f * inverse * (square - length * length);  // one Newton step
 }

@@ -26,7 +26,6 @@
 #include <cstdint>
 #include <stdexcept>
 
-#include "references/common/block_sum.cuh"
 #include "references/common/device_buffer.cuh"
 
 namespace gpuphys::springs {
@@ -81,6 +80,25 @@ struct __align__(16) WideRecord {
     return other_end;
   }
 };
+
+/// Sum of `value` over the threads of the block before this one. All threads call it; `warp_sum` (32) is
+/// shared, and must not be in use: a barrier lies between two calls.
+template <int Threads>
+__device__ __forceinline__ int sum_before(int value, int* warp_sum) {
+  const int lane = static_cast<int>(threadIdx.x) % 32, warp = static_cast<int>(threadIdx.x) / 32;
+  int inclusive = value;
+#pragma unroll
+  for (int d = 1; d < 32; d *= 2) {
+    const int below = __shfl_up_sync(0xffffffffu, inclusive, d);
+    if (lane >= d) inclusive += below;
+  }
+  if (lane == 31) warp_sum[warp] = inclusive;
+  __syncthreads();
+  int before = inclusive - value;
+#pragma unroll
+  for (int w = 0; w < Threads / 32; ++w) before += w < warp ? warp_sum[w] : 0;
+  return before;
+}
 
 /// Lays down the particles at rest in their new order, two threads a particle, which write its sector whole;
 /// number[i] becomes the new number of particle i.
@@ -308,7 +326,6 @@ __global__ void __launch_bounds__(Threads)
                 Particle* __restrict__ placed) {
   static_assert(Shape::kSlices <= Threads && Capacity % 2 == 0);
   constexpr int lanes = Shape::kLanes, rows = Shape::kRows, slots_a_thread = Shape::kSlots / Threads;
-  static_assert(Shape::kSlots % Threads == 0, "every thread numbers the halo of equally many slots");
   extern __shared__ int4 pool[];
   __shared__ int warp_sum[3][32], tile_begin, tile_places;
   float* const rest_at = reinterpret_cast<float*>(pool);
