@@ -160,12 +160,25 @@ __host__ __device__ __forceinline__ CoarseCell coarse_cell(const Matrix& fine, i
   return coarse;
 }
 
-/// One thread per entry of the coarse arrays, padding included.
-__global__ void coarsen(Matrix fine, Matrix shape, MutableMatrix coarse, Coarsening rule) {
+/// Which cells of level 0 are active, by granules of `rows` x `columns` cells of a plane: mark_live().
+struct LiveMarks {
+  const unsigned char* marks;  ///< null: take all for active
+  int rows, columns, tiles_z, nx;
+
+  __device__ bool any(int i, int j, int k) const {  // in plane i or the next one
+    const unsigned char* at = marks + (j / rows * tiles_z + k / columns) * nx + i;
+    return at[0] || (i + 1 < nx && at[1]);
+  }
+};
+
+/// One thread per entry of the coarse arrays, padding included. `live` belongs to the finer level; a coarse
+/// cell without an active child has a row of zeros.
+__global__ void coarsen(Matrix fine, Matrix shape, MutableMatrix coarse, Coarsening rule, LiveMarks live) {
   const int at = static_cast<int>(blockIdx.x * blockDim.x + threadIdx.x);
   if (at >= shape.size()) return;
   const int k = at % shape.pitch, j = (at / shape.pitch) % shape.ny, i = at / shape.plane();
-  const CoarseCell c = coarse_cell(fine, i, j, k, rule);
+  CoarseCell c{};
+  if (!live.marks || (k < shape.nz && live.any(2 * i, 2 * j, 2 * k))) c = coarse_cell(fine, i, j, k, rule);
   coarse.diag[at] = c.diag;
   coarse.ax[at] = c.ax;
   coarse.ay[at] = c.ay;

@@ -82,6 +82,7 @@ struct SmoothArgs {
   int planes_per_block;  // even
   const Piece* pieces;   // one for each block; null: all tiles, planes_per_block each
   float omega[2];        // relaxation of red and black cells
+  float correction;      // factor of the restricted residual, hence of the correction that comes of it
 };
 
 __device__ __forceinline__ unsigned shared_address(const void* p) {
@@ -323,7 +324,7 @@ __global__ void __launch_bounds__(SmoothTile<kRows, kProlong, kRestrict>::thread
         const float2 a = pair[flushed & 1][thread], b = pair[flushed & 1][thread + P::quads];
         float* to =
             g.coarse_rhs + ((pending_plane >> 1) * g.coarse_ny + (j >> 1)) * g.coarse_pitch + (k >> 1);
-        *reinterpret_cast<float2*>(to) = make_float2(a.x + b.x, a.y + b.y);
+        *reinterpret_cast<float2*>(to) = make_float2(g.correction * (a.x + b.x), g.correction * (a.y + b.y));
       }
       pending_plane = -1;
       ++flushed;

@@ -27,16 +27,22 @@ struct SolverPolicy {
   static constexpr float safety = 0.9f;    // the iteration aims below the tolerance by this factor
   static constexpr float verdict = 0.98f;  // and is accepted below it by this one: norms are summed in FP32
   static constexpr float slow = 0.35f;     // a cycle that reduces the residual by less calls for acceleration
-  static constexpr float useless = 0.9f;   // one that reduces it by less than this is started over
-  static constexpr float outlook = 2.0f;  // residual after a cycle over that after the next way down, at most
-  static constexpr int max_cycles = 40;   // of the plain iteration
-  static constexpr int max_steps = 400;   // of the accelerated one
+  static constexpr float useless = 0.9f;   // so does one that reduces it by less than this, from any cycle on
+  static constexpr float stalls = 0.99f;   // a step of the accelerated iteration that reduces it by less
+  static constexpr int max_cycles = 40;    // of the plain iteration
+  static constexpr int max_steps = 400;    // of the accelerated one
   static constexpr int stagnation_steps = 30;  // within these the residual must halve
   static constexpr int refresh_steps = 40;     // after these the recurrence is replaced by the true residual
+  static constexpr int least_planes = 2;       // of a block's march over a coarse level; even
   static constexpr int down_rows = 16;         // tile of the pass with a residual
-  static constexpr int up_rows = 24;           // tile of the pass with a correction
-  static_assert(down_rows % PiecePolicy::granule_rows == 0 && up_rows % PiecePolicy::granule_rows == 0 &&
+  static_assert(down_rows % PiecePolicy::granule_rows == 0 &&
                 SmoothPolicy::columns == PiecePolicy::granule_columns);
+};
+
+/// One cycle: over-relaxation of red and black cells, and a factor of the coarse correction.
+struct Relaxation {
+  float down[2], up[2];
+  float correction = 1.0f;
 };
 
 /// What the cycle does best with depends on the coefficients; it converges for others too.
@@ -50,6 +56,14 @@ struct Tuning {
   /// Passes over the fine grid leave out planes of tiles without an active cell. The host plans that while
   /// the device coarsens, which costs 0.1 ms and more: not worth it where nearly all planes hold one.
   bool leave_out_empty_planes = true;
+  /// Residual after a cycle over that after the next way down, at most.
+  float outlook = 2.0f;
+  /// The first cycles of the plain iteration have relaxation of their own, on the fine grid
+  /// schedule[cycle] and below it schedule_below. Later ones and the accelerated iteration go by the above.
+  static constexpr int most_scheduled = 6;
+  int scheduled = 0;
+  Relaxation schedule[most_scheduled] = {};
+  Relaxation schedule_below = {};
 };
 
 /// Outcome of a solve, for tests and reports.
@@ -60,7 +74,12 @@ struct SolveReport {
   bool converged = false;
 };
 
-class Solver {
+/// `UpRows`: rows of a tile of the pass with a correction. Less is read twice with more of them; with fewer,
+/// more planes of tiles have no active cell.
+template <int UpRows>
+class TiledSolver {
+  static_assert(UpRows % PiecePolicy::granule_rows == 0);
+
  public:
   /// Allocates for systems of this size. `singular` promises rows that sum to zero (pure Neumann): constants
   /// are then kept out of the coarse systems and the solution is returned with zero mean.
@@ -230,23 +249,27 @@ class Solver {
       Level& c = levels_[l];
       c.view = {c.diag.get(), c.ax.get(), c.ay.get(), c.az.get(), c.nx, c.ny, c.nz, c.pitch};
       const MutableMatrix to{c.diag.get(), c.ax.get(), c.ay.get(), c.az.get(), c.gates.get(), c.rhs.get()};
+      const bool skip = l == 1 && tuning_.leave_out_empty_planes;
+      const LiveMarks live{skip ? live_.get() : nullptr, PiecePolicy::granule_rows,
+                           PiecePolicy::granule_columns, tiles_z_, fine.nx};
       coarsen<<<static_cast<unsigned>((c.view.size() + 127) / 128), 128>>>(
           levels_[l - 1].view, c.view, to,
-          coarsening_to(static_cast<int>(l), singular_, tuning_.first_coupling));
+          coarsening_to(static_cast<int>(l), singular_, tuning_.first_coupling), live);
     }
     if (!tuning_.leave_out_empty_planes) return;
     // The host plans the passes while the device coarsens.
     GPUPHYS_CUDA(cudaEventSynchronize(event_.handle));
     plan(down_, SolverPolicy::down_rows);
-    plan(up_, SolverPolicy::up_rows);
+    plan(up_, UpRows);
   }
 
   // Tiles of a level, marching far enough along x for one wave of blocks.
   template <bool kDown>
   dim3 smooth_grid(const Level& l, int* planes_per_block) const {
-    const int rows = kDown ? SolverPolicy::down_rows : SolverPolicy::up_rows;
+    const int rows = kDown ? SolverPolicy::down_rows : UpRows;
     const int bz = (l.nz + SmoothPolicy::columns - 1) / SmoothPolicy::columns, by = (l.ny + rows - 1) / rows;
-    const int chunks = std::max(1, std::min(processors_ / (by * bz), (l.nx + 3) / 4));
+    constexpr int least = SolverPolicy::least_planes;
+    const int chunks = std::max(1, std::min(processors_ / (by * bz), (l.nx + least - 1) / least));
     int planes = (l.nx + chunks - 1) / chunks;
     planes = std::min(128, planes + planes % 2);
     if (planes_per_block) *planes_per_block = planes;
@@ -290,7 +313,7 @@ class Solver {
   template <bool kDown>
   int pass(int l, const float* x_in, float* x_out, const float* rhs, const float* rhs_scale,
            const float* rhs_shift, float* partials) {
-    constexpr int rows = kDown ? SolverPolicy::down_rows : SolverPolicy::up_rows;
+    constexpr int rows = kDown ? SolverPolicy::down_rows : UpRows;
     using Tile = SmoothTile<rows, !kDown, kDown>;
     const Level &f = levels_[static_cast<std::size_t>(l)], &c = levels_[static_cast<std::size_t>(l) + 1];
     SmoothArgs g{};
@@ -317,7 +340,9 @@ class Solver {
       g.pieces = pieces.list.get();
       grid = dim3(static_cast<unsigned>(pieces.count));
     }
-    std::copy_n(kDown ? tuning_.omega_down : tuning_.omega_up, 2, g.omega);
+    const Relaxation& relaxation = l == 0 ? relaxation_ : relaxation_below_;
+    std::copy_n(kDown ? relaxation.down : relaxation.up, 2, g.omega);
+    g.correction = relaxation.correction;
     const auto kernel =
         kDown || singular_ ? smooth<rows, !kDown, kDown, false> : smooth<rows, !kDown, kDown, !kDown>;
     GPUPHYS_CUDA(
@@ -342,8 +367,8 @@ class Solver {
     TailArgs g{};
     g.done = done();
     g.solo = 0;
-    std::copy_n(tuning_.omega_down, 2, g.omega[0]);
-    std::copy_n(tuning_.omega_up, 2, g.omega[1]);
+    std::copy_n(relaxation_below_.down, 2, g.omega[0]);
+    std::copy_n(relaxation_below_.up, 2, g.omega[1]);
     for (int l = tail_; l < static_cast<int>(levels_.size()); ++l) {
       const Level& c = level(l);
       g.level[g.levels++] = {c.view, c.gates.get(), c.x.get(), c.rhs.get()};
@@ -360,19 +385,36 @@ class Solver {
     return *host_.get();
   }
 
+  /// The relaxation of cycle `n` of the plain iteration; of the accelerated one without `n`.
+  void choose_relaxation(int n = Tuning::most_scheduled) {
+    const Relaxation usual{{tuning_.omega_down[0], tuning_.omega_down[1]},
+                           {tuning_.omega_up[0], tuning_.omega_up[1]}};
+    const bool scheduled = n < tuning_.scheduled;
+    relaxation_ = scheduled ? tuning_.schedule[n] : usual;
+    relaxation_below_ = scheduled ? tuning_.schedule_below : usual;
+  }
+
   SolveReport run(float tolerance) {
     SolveReport report;
     const float aim = SolverPolicy::safety * tolerance;
+    const float early = aim / SolverPolicy::verdict;  // what accept() holds to `aim`
     bool from_zero = false, finished = false;
-    float previous = std::numeric_limits<float>::infinity();
+    float previous = std::numeric_limits<float>::infinity(), expected = previous;
     for (int n = 0; n < SolverPolicy::max_cycles; ++n) {
+      choose_relaxation(n);
       const int blocks = pass_down(0, n == 0 ? nullptr : x_[0].get(), x_[1].get(), b_, true, partials_.get());
-      judge_cycle<<<1, 1024>>>(state_.get(), host_.get(), partials_.get(), blocks, aim, singular_);
-      GPUPHYS_CUDA(cudaEventRecord(event_.handle));
+      ++report.cycles;
+      // Where this way down should do, the rest of the cycle is not even launched. (In a singular system what
+      // is accepted is not what the cycle reduces: the part of b that no x reaches counts.)
+      const bool last = !singular_ && expected < aim;
+      if (last && accept(x_[1].get(), early, report)) return report;
+      if (!last) {
+        judge_cycle<<<1, 1024>>>(state_.get(), host_.get(), partials_.get(), blocks, aim, singular_);
+        GPUPHYS_CUDA(cudaEventRecord(event_.handle));
+      }
       coarse_correction();
       const int up_blocks = pass_up(0, x_[1].get(), x_[0].get(), b_, true, partials_.get());
-      ++report.cycles;
-      GPUPHYS_CUDA(cudaEventSynchronize(event_.handle));
+      if (!last) GPUPHYS_CUDA(cudaEventSynchronize(event_.handle));
       const State s = *host_.get();
       if (s.done) {
         if (s.rhs2 == 0) {
@@ -385,16 +427,17 @@ class Solver {
       }
       const float norm = std::sqrt(s.r2 / s.rhs2);
       if (!(norm < SolverPolicy::useless * previous)) {
-        from_zero = true;
+        from_zero = !(norm < SolverPolicy::useless);  // x = 0 is as good
         break;
       }
       if (n > 0 && norm > SolverPolicy::slow * previous) break;
       // The cycle under way takes the residual down by the same factor again, short of the relaxation of its
       // successor's way down. Where that is expected to do, look before starting another one.
-      if (n > 0 && SolverPolicy::outlook * norm * (norm / previous) < aim) {
+      if (n > 0 && tuning_.outlook * norm * (norm / previous) < aim) {
         judge_mean<<<1, 1024>>>(state_.get(), partials_.get(), up_blocks, singular_);
-        if (accept(x_[0].get(), tolerance, report)) return report;
+        if (accept(x_[0].get(), early, report)) return report;
       }
+      if (n > 0) expected = norm * (norm / previous);
       previous = norm;
     }
     if (finished) {
@@ -411,8 +454,9 @@ class Solver {
   // Writes the solution and measures the residual of what was written.
   bool accept(const float* x, float tolerance, SolveReport& report) {
     const int blocks = vector_blocks();
-    write_solution<<<blocks, KrylovPolicy::threads>>>(levels_[0].view, b_, x, active_, out_, state_.get(),
-                                                      partials_.get());
+    const auto write = tuning_.leave_out_empty_planes ? write_solution<true> : write_solution<false>;
+    write<<<blocks, KrylovPolicy::threads>>>(levels_[0].view, b_, x, active_, out_, state_.get(),
+                                             partials_.get());
     judge_solution<<<1, 1024>>>(state_.get(), host_.get(), partials_.get(), blocks,
                                 SolverPolicy::verdict * tolerance);
     const State s = wait();
@@ -429,7 +473,13 @@ class Solver {
     return wait();
   }
 
-  void precondition(const float* r, float* d) {
+  // d: about A^-1 r by a cycle, or by the relaxation of its way down alone.
+  void precondition(const float* r, float* d, bool cycle = true) {
+    choose_relaxation();
+    if (!cycle) {
+      pass_down(0, nullptr, d, r, false, nullptr);
+      return;
+    }
     pass_down(0, nullptr, x_[0].get(), r, false, nullptr);
     coarse_correction();
     pass_up(0, x_[0].get(), d, r, false, nullptr);
@@ -444,14 +494,19 @@ class Solver {
     const float aim = SolverPolicy::safety * tolerance;
     const auto relative = [](const State& s) { return std::sqrt(s.r2 / s.rhs2); };
     float replaced = relative(true_residual(x));  // norm at the last replacement
-    float milestone = replaced;
+    float milestone = replaced, before = replaced;
+    // Steps without progress, one after the other. Where what holds a strongly coupled part is about the
+    // rounding errors of its couplings, corrections may be made up of its constant and lose all else in the
+    // rounding, and so may all further ones; relaxation by itself gets on then. (What a singular system
+    // cannot reach also stays, and is no reason.)
+    int stalled = 0;
     int since_milestone = 0, since_replacement = 0, kept = 0, slot = 0;
     while (!(replaced < aim) && report.steps < SolverPolicy::max_steps) {
       Directions s{};
       s.kept = kept;
       for (int w = 0; w < KrylovPolicy::window; ++w) s.d[w] = d_[w].get(), s.q[w] = q_[w].get();
       float *d = d_[KrylovPolicy::window].get(), *q = q_[KrylovPolicy::window].get();
-      precondition(r_.get(), d);
+      precondition(r_.get(), d, singular_ || stalled % 2 == 0);
       apply_direction<<<blocks, KrylovPolicy::threads>>>(a, s, d, q, r_.get(), partials_.get());
       choose_step<<<1, 1024>>>(state_.get(), partials_.get(), blocks, kept);
       take_step<<<blocks, KrylovPolicy::threads>>>(a, s, d, q, x, r_.get(), state_.get(), partials_.get());
@@ -462,6 +517,8 @@ class Solver {
       slot = (slot + 1) % KrylovPolicy::window;
       ++report.steps, ++report.cycles, ++since_milestone, ++since_replacement;
       const float norm = relative(wait());
+      stalled = norm > SolverPolicy::stalls * before ? stalled + 1 : 0;
+      before = norm;
       if (norm < 0.5f * milestone) milestone = norm, since_milestone = 0;
       const bool stagnant = since_milestone >= SolverPolicy::stagnation_steps || !std::isfinite(norm);
       if (norm < aim || stagnant || since_replacement >= SolverPolicy::refresh_steps) {
@@ -476,6 +533,7 @@ class Solver {
   SolveReport report_;
   bool singular_ = false;
   Tuning tuning_;
+  Relaxation relaxation_{}, relaxation_below_{};  // of the cycle being launched
   int processors_ = 1, tail_ = 1, granules_y_ = 1, tiles_z_ = 1;
   DeviceBuffer<unsigned char> live_;
   PinnedBuffer<unsigned char> host_live_;
@@ -491,5 +549,8 @@ class Solver {
   const bool* active_ = nullptr;
   float* out_ = nullptr;
 };
+
+/// What suits a box that is mostly full.
+using Solver = TiledSolver<24>;
 
 }  // namespace gpuphys::multigrid
