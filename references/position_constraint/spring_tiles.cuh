@@ -26,7 +26,6 @@
 #include <cstdint>
 #include <stdexcept>
 
-#include "references/common/block_sum.cuh"
 #include "references/common/device_buffer.cuh"
 
 namespace gpuphys::springs {
@@ -82,17 +81,32 @@ struct __align__(16) WideRecord {
   }
 };
 
+/// Sum of `value` over the threads of the block before this one. All threads call it; `warp_sum` (32) is
+/// shared, and must not be in use: a barrier lies between two calls.
+template <int Threads>
+__device__ __forceinline__ int sum_before(int value, int* warp_sum) {
+  const int lane = static_cast<int>(threadIdx.x) % 32, warp = static_cast<int>(threadIdx.x) / 32;
+  int inclusive = value;
+#pragma unroll
+  for (int d = 1; d < 32; d *= 2) {
+    const int below = __shfl_up_sync(0xffffffffu, inclusive, d);
+    if (lane >= d) inclusive += below;
+  }
+  if (lane == 31) warp_sum[warp] = inclusive;
+  __syncthreads();
+  int before = inclusive - value;
+#pragma unroll
+  for (int w = 0; w < Threads / 32; ++w) before += w < warp ? warp_sum[w] : 0;
+  return before;
+}
+
 /// Lays down the particles at rest in their new order, two threads a particle, which write its sector whole;
-/// number[i] becomes the new number of particle i. Clears what the build of the tiles begins with: `used`,
-/// and `halo`, of which a tile's unused part then names some particle, which may be fetched for nothing.
+/// number[i] becomes the new number of particle i.
 __global__ void place_particles(const float* __restrict__ x, const float* __restrict__ inv_mass,
                                 const int2* __restrict__ cell_and_place,
                                 const std::int32_t* __restrict__ first, int n,
-                                std::int32_t* __restrict__ number, Particle* __restrict__ placed,
-                                std::int32_t* __restrict__ halo, int halo_size, int* used) {
+                                std::int32_t* __restrict__ number, Particle* __restrict__ placed) {
   const int t = static_cast<int>(blockIdx.x * blockDim.x + threadIdx.x), i = t / 2;
-  if (t == 0) *used = 0;
-  for (int k = t; k < halo_size; k += static_cast<int>(gridDim.x * blockDim.x)) halo[k] = 0;
   if (i >= n) return;
   const int2 where = cell_and_place[i];
   const int to = first[where.x] + where.y;
@@ -312,7 +326,6 @@ __global__ void __launch_bounds__(Threads)
                 Particle* __restrict__ placed) {
   static_assert(Shape::kSlices <= Threads && Capacity % 2 == 0);
   constexpr int lanes = Shape::kLanes, rows = Shape::kRows, slots_a_thread = Shape::kSlots / Threads;
-  static_assert(Shape::kSlots % Threads == 0, "every thread numbers the halo of equally many slots");
   extern __shared__ int4 pool[];
   __shared__ int warp_sum[3][32], tile_begin, tile_places;
   float* const rest_at = reinterpret_cast<float*>(pool);
@@ -460,8 +473,8 @@ class SpringTiles {
              const int2* cell_and_place, const std::int32_t* first, Particle* placed) const {
     constexpr int threads = 256;
     place_particles<<<static_cast<unsigned>((2 * n_ + threads - 1) / threads), threads>>>(
-        x, inv_mass, cell_and_place, first, n_, number_.get(), placed, halo_.get(), tiles() * Shape::kHalo,
-        used_.get());
+        x, inv_mass, cell_and_place, first, n_, number_.get(), placed);
+    GPUPHYS_CUDA(cudaMemsetAsync(used_.get(), 0, sizeof(int)));
     wide_ ? sort<WideRecord>(ends, rest, placed) : sort<NarrowRecord>(ends, rest, placed);
   }
 
