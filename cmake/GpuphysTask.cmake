@@ -6,6 +6,8 @@
 #   serial_baselines/<family>/<task>.cpp    -> modules/<task>/baseline_f64.so, baseline_f32.so, baseline_f32_fma.so
 #   mutants/<task>/<fault>.patch            -> modules/<task>/mutant.<fault>.so and serial_mutant.<fault>.so
 #
+# The target task_<task> builds all of that and what the task's tests need besides: no more than one has to wait for.
+#
 # Patches are applied to copies in the build tree, without fuzz; one that no longer applies breaks the build. The copies
 # come first on the include path, so a patch may also touch a header: all quoted includes are relative to the root.
 
@@ -30,6 +32,7 @@ function(gpuphys_module task label source)
   if(arg_DEPENDS)
     add_dependencies(${target} ${arg_DEPENDS})
   endif()
+  add_dependencies(task_${task} ${target})
   set_target_properties(${target} PROPERTIES PREFIX "" OUTPUT_NAME ${label} CXX_VISIBILITY_PRESET hidden
                         LIBRARY_OUTPUT_DIRECTORY ${PROJECT_BINARY_DIR}/modules/${task})
 endfunction()
@@ -75,6 +78,7 @@ function(gpuphys_add_task task family)
     endif()
   endforeach()
   set(GPUPHYS_TASKS ${GPUPHYS_TASKS} ${task} CACHE INTERNAL "")
+  add_custom_target(task_${task})
   target_sources(gpuphys_core PRIVATE ${case})
 
   # gpuphys_finish() adds what the tasks of these families share.
@@ -214,6 +218,9 @@ ${calls}    std::sort(all.begin(), all.end(), [](const Task& a, const Task& b) {
   add_custom_command(OUTPUT ${test_file} COMMAND gpuphys ctest-file ${arguments} DEPENDS gpuphys ${patches}
                      COMMENT "Writing the tests of the tasks" VERBATIM)
   add_custom_target(task_tests ALL DEPENDS ${test_file})
+  foreach(task ${GPUPHYS_TASKS})
+    add_dependencies(task_${task} task_tests)
+  endforeach()
   file(CONFIGURE OUTPUT ${PROJECT_BINARY_DIR}/include_task_tests.cmake CONTENT
 "if(EXISTS \"${test_file}\")
   include(\"${test_file}\")
