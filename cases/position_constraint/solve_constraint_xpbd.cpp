@@ -223,6 +223,61 @@ Problem far_away() {
   return problem_of(s);
 }
 
+// A cloth whose springs are ten times as long as the distances of their ends: displacements exceed the size
+// of what is displaced.
+Problem crushed() {
+  SpringSystem s = small_cloth(31);
+  for (auto& x : s.position) {
+    for (double& c : x) c *= 0.02;
+  }
+  return problem_of(s);
+}
+
+// A cloth, and a copy of it 2^20 times smaller about the origin, in the middle of the roll: springs of a
+// micrometre beside those of a metre. Lengths, displacements and their rounding scale alike.
+constexpr double kCopyScale = 0x1p-20;
+Problem two_scales() {
+  SpringSystem s = small_cloth(30);
+  const auto n = static_cast<std::int32_t>(s.position.size());
+  const std::size_t m = s.springs.size();
+  for (std::int32_t i = 0; i < n; ++i) {
+    std::array<double, 3> x = s.position[static_cast<std::size_t>(i)];
+    for (double& c : x) c *= kCopyScale;
+    s.position.push_back(x);
+  }
+  for (std::size_t j = 0; j < m; ++j) {
+    const auto [a, b] = s.springs[j];
+    s.springs.push_back({a + n, b + n});
+    s.rest.push_back(s.rest[j] * kCopyScale);
+  }
+  return problem_of(s);
+}
+
+// dx_rel_l2 of the second half of the particles.
+Check small_copy_moves() {
+  return {"small_copy",
+          CheckKind::invariant,
+          "x_new - x of the small copy",
+          "relative L2",
+          4e-3,
+          "the paper's tolerance, for particles that the norm over all would not see",
+          true,
+          [](const Judged& j) {
+            const HostArray& x = find(j.problem.inputs, "x", "inputs");
+            const HostArray& got = find(j.outputs, "x_new", "outputs");
+            const HostArray& truth = find(*j.truth, "x_new", "truth");
+            double error = 0, square = 0;
+            for (std::int64_t i = x.size() / 2; i < x.size(); ++i) {
+              const double expected = static_cast<double>(static_cast<float>(truth.value(i)));
+              error += (got.value(i) - expected) * (got.value(i) - expected);
+              square += (expected - x.value(i)) * (expected - x.value(i));
+            }
+            return Measured{std::sqrt(error / square),
+                            fmt::format("rms displacement of a coordinate {:.3g} m",
+                                        std::sqrt(2 * square / static_cast<double>(x.size())))};
+          }};
+}
+
 // Particles whose only springs begin and end at the same particle.
 Problem self_springs(std::int64_t n) {
   SpringSystem s;
@@ -300,6 +355,11 @@ std::vector<InputSet> hard_sets() {
                            repeated_springs, {pc::momentum_check()}));
   sets.push_back(hard_case("offset_1e4", "a cloth 1e4 m away from the origin along every axis", far_away,
                            {within_one_unit(), pc::momentum_check()}, false));
+  sets.push_back(hard_case("crushed",
+                           "a cloth crushed to a fiftieth of its size, springs at their old lengths", crushed,
+                           {pc::momentum_check()}));
+  sets.push_back(hard_case("two_scales", "a cloth, and a copy 2^20 times smaller in its middle", two_scales,
+                           {small_copy_moves(), pc::momentum_check()}));
   sets.push_back(hard_case("self_springs", "no springs but from particles to themselves",
                            [] { return self_springs(100); }, {still}));
   sets.push_back(hard_case("one_particle", "a single particle with a spring to itself",

@@ -6,9 +6,9 @@
 //   1. find_bounds   bounding box and largest radius; its last block chooses the grid.
 //   2. split_items   every bin, a range of `bin_cells` cells, has room for `bin_items` records. A block takes
 //                    its items in tiles: it counts a tile by bins in shared memory, reserves the next places
-//                    in each (one atomic a bin and tile, neighbouring bins by neighbouring lanes), sorts the
-//                    tile's records by bins in shared memory and writes them in that order. What finds no
-//                    room goes to a common list.
+//                    in each (one atomic a bin and tile, neighbouring bins by neighbouring lanes), and
+//                    writes the records there, straight from registers. What finds no room goes to a common
+//                    list.
 //   3. sort_bins     a block a bin: counts the bin's cells, writes their starts, and its records in order.
 //                    All in shared memory, and each record is ranked once; a bin with more than
 //                    `bin_items` goes through global memory instead, and looks for the rest in the list.
@@ -22,27 +22,37 @@
 //
 // What a user supplies is a Source, copied to the kernels by value:
 //   int count;                                     number of items, >= 1
-//   __device__ float3 position(int i) const;       of item i
-//   __device__ float radius(int i) const;          half the cut-off of item i with one of its own size
-//   using Record;                                  payload of an item, a whole number of 16-byte words
-//   __device__ Record record(int i) const;         of item i
+//   __device__ const float* positions() const;     x, y and z of item 0, of item 1, ...; and
+//   __device__ const float* radii() const;         half the cut-off of each with one of its own size. Both
+//                                                  aligned to 16 bytes, as is what prefetch() copies
+//   using Record;                                  payload of an item: 32 bytes, aligned to as many
+//   static constexpr int chunk_floats;             of shared memory for 32 items, a multiple of four
+//   __device__ void prefetch(float* chunk, int first, int end) const;
+//                                                  by a whole warp: has copy_async() bring the items from
+//                                                  `first`, a multiple of 32, there, as far as `end`
+//   __device__ Record record(const float* chunk, int i) const;
+//                                                  of item i, the lane's own of the chunk; from `end` on
+//                                                  anything
 //   __device__ float3 position(const Record&) const;   the same as of its item, bit by bit
 //   __device__ void placed(const Grid&, int slot, const Record&) const;   told what comes to each slot
 //   Record* split;                                 scratch in device memory for NeighbourGrid::records() of
-//                                                  them, aligned to 32 bytes
+//                                                  them
 //   float4* sorted;                                receives the result, word by word: that of number w of
 //                                                  the record in slot s is sorted[w * count + s]
 //
-// What bounds it: memory. Records are written twice and read once; a record of 32 or 64 bytes fills whole
-// sectors, whereas a sector written in part may be fetched from DRAM before it is written back (measured:
-// 0.25 ms for 2M records of two separate 16-byte stores). Keep other sizes rare. What pays:
-// - Tiles in the order of bins: all blocks sweep the bins at about the same time, and what they append to one
-//   is contiguous, so that lines are full, and their neighbours too, when L2 writes them back. Written in the
-//   order of the items, every sector would go to DRAM by itself.
-// - The next tile's records are under way while one is written.
-// - Loads are issued in batches, also at the end of a loop (indices are clamped there), or go to shared
-//   memory without registers (cp.async). The grid is read from registers or shared memory inside loops: a
-//   load of it would queue behind those of the items.
+// What bounds it: DRAM in find_bounds (52 %), L2 in the others (68 and 69 %). Records are written twice and
+// read once; one of 32 bytes fills a sector, whereas a sector written in part may be fetched from DRAM before
+// it is written back (measured: 0.25 ms for 2M records of two separate 16-byte stores). What pays:
+// - Items are read by 16 bytes, and to be split they come to shared memory past the registers (cp.async): the
+//   next tile's are under way while one is counted and written.
+// - Large tiles: fewer reservations. Shared memory has room for them because it holds no records: these are
+//   not put in the order of bins before they are written. All blocks append to the same places of the bins at
+//   about the same time, and L2 makes lines of that in whatever order it comes.
+// - Two lanes write a record: a request consists of whole sectors.
+// - The bounds of all blocks meet in eight numbers by atomics, so that the last block reads one line.
+// - Loads are issued in batches, also at the end of a loop (indices are clamped there), and before the first
+//   is waited for. The grid is read from registers or shared memory inside loops: a load of it would queue
+//   behind those of the items.
 #pragma once
 
 #include <cuda_runtime.h>
@@ -52,6 +62,7 @@
 #include <cstdint>
 
 #include "core/module.hpp"
+#include "references/common/block_sum.cuh"
 #include "references/common/dependent_launch.cuh"
 #include "references/common/device_buffer.cuh"
 
@@ -60,9 +71,9 @@ namespace gpuphys::neighbour_grid {
 /// Tuning. Users may pass a class of their own with the same members.
 struct DefaultPolicy {
   static constexpr int bounds_threads = 512;
-  static constexpr int bounds_blocks = 3 * 132;  // one wave; also bounds the last block's share
+  static constexpr int bounds_blocks = 3 * 132;  // one wave
   static constexpr int split_threads = 768;
-  static constexpr int split_each = 2;          // items of a thread in a tile
+  static constexpr int split_each = 3;          // items of a thread in a tile
   static constexpr int split_blocks = 2 * 132;  // one wave
   static constexpr int split_blocks_per_sm = 2;
   static constexpr int bin_cells = 1024;  // a multiple of four
@@ -95,6 +106,21 @@ __device__ __forceinline__ int cell_along(const Grid& grid, int axis, float x) {
 __device__ __forceinline__ int cell_of(const Grid& grid, float3 p) {
   return (cell_along(grid, 0, p.x) * grid.cells[1] + cell_along(grid, 1, p.y)) * grid.cells[2] +
          cell_along(grid, 2, p.z);
+}
+
+/// 16 bytes to shared memory without a register between: a loop of these has all of them under way.
+__device__ __forceinline__ void copy_async(float4* to, const float4* from) {
+  asm volatile(
+      "cp.async.cg.shared.global [%0], [%1], 16;" ::"r"(static_cast<unsigned>(__cvta_generic_to_shared(to))),
+      "l"(from)
+      : "memory");
+}
+/// Likewise of the first `bytes` of the 16 only, and zeroes behind them.
+__device__ __forceinline__ void copy_async(float* to, const float* from, unsigned bytes) {
+  asm volatile("cp.async.cg.shared.global [%0], [%1], 16, %2;" ::"r"(
+                   static_cast<unsigned>(__cvta_generic_to_shared(to))),
+               "l"(from), "r"(bytes)
+               : "memory");
 }
 
 /// Columns of cells that visit_ranges() hands over at a time.
@@ -152,21 +178,26 @@ struct Bounds {
   float low[3], high[3], smallest, largest;
 };
 
-// Blocks of find_bounds that are done. Zero when the module is loaded and between builds, for which no memory
-// has to be cleared beforehand; builds of one module must not overlap (they all go to the default stream).
-static __device__ unsigned bounds_finished;
+// Words of 16 bytes in a record.
+constexpr int record_words = 2;
+
+// What the blocks of find_bounds share. As initialised when the module is loaded and between builds, for
+// which no memory has to be set beforehand; builds of one module must not overlap (they all go to the default
+// stream).
+constexpr int no_key = 0x7fffffff;
+static __device__ int bounds_keys[8] = {no_key, no_key, no_key, no_key, no_key, no_key, no_key, no_key};
+static __device__ unsigned bounds_finished;  // blocks that are done
 
 /// Pointers to everything that a build works on.
 struct Storage {
   Grid* grid;
-  Bounds* partial;  // one a block of find_bounds
-  int* start;       // first slot of each cell
-  int* bin_count;   // items of each bin
-  int* left_over;   // number of records without room in their bin: they follow those of all bins
-  int* left_bin;    // and the bin of each
-  int capacity;     // most cells a grid may have
-  int bins;         // most bins
-  int tile;         // items that a block splits at a time
+  int* start;      // first slot of each cell
+  int* bin_count;  // items of each bin
+  int* left_over;  // number of records without room in their bin: they follow those of all bins
+  int* left_bin;   // and the bin of each
+  int capacity;    // most cells a grid may have
+  int bins;        // most bins
+  int tile;        // items that a block splits at a time
 };
 
 /// Bins in use: those of all cells.
@@ -175,35 +206,9 @@ __device__ __forceinline__ int bins_of(const Grid& grid) {
   return (grid.total + Policy::bin_cells - 1) / Policy::bin_cells;
 }
 
-// Copy to shared memory without a register between: a loop of these has all of them under way.
-__device__ __forceinline__ void copy_async(float4* to, const float4* from) {
-  asm volatile(
-      "cp.async.cg.shared.global [%0], [%1], 16;" ::"r"(static_cast<unsigned>(__cvta_generic_to_shared(to))),
-      "l"(from)
-      : "memory");
-}
 // For the thread's own copies.
 __device__ __forceinline__ void wait_for_copies() {
   asm volatile("cp.async.wait_all;" ::: "memory");
-}
-
-/// Sum of the threads before this one. Called by all threads of the block, with a barrier between two calls.
-template <int Threads>
-__device__ __forceinline__ int sum_before(int own, int* warps) {
-  const int lane = static_cast<int>(threadIdx.x) % 32, warp = static_cast<int>(threadIdx.x) / 32;
-  int sum = own;
-#pragma unroll
-  for (int offset = 1; offset < 32; offset *= 2) {
-    const int below = __shfl_up_sync(0xffffffffu, sum, offset);
-    if (lane >= offset) sum += below;
-  }
-  if (lane == 31) warps[warp] = sum;
-  __syncthreads();
-  int before = sum - own;
-  for (int w = 0; w < Threads / 32; ++w) {
-    if (w < warp) before += warps[w];
-  }
-  return before;
 }
 
 __device__ __forceinline__ Bounds empty_bounds() {
@@ -211,36 +216,14 @@ __device__ __forceinline__ Bounds empty_bounds() {
   return {{inf, inf, inf}, {-inf, -inf, -inf}, inf, 0.0f};
 }
 
-__device__ __forceinline__ void include(Bounds& a, const Bounds& b) {
-#pragma unroll
-  for (int d = 0; d < 3; ++d) {
-    a.low[d] = fminf(a.low[d], b.low[d]);
-    a.high[d] = fmaxf(a.high[d], b.high[d]);
-  }
-  a.smallest = fminf(a.smallest, b.smallest);
-  a.largest = fmaxf(a.largest, b.largest);
+// Integers in the order of the floats that have these bits; its own inverse.
+__device__ __forceinline__ int ordered(int bits) {
+  return bits ^ (bits >> 31 & 0x7fffffff);
 }
 
-/// Union over the block; valid in thread 0. Called by all threads, with a barrier between two calls.
-template <int Threads>
-__device__ __forceinline__ Bounds block_bounds(Bounds b, Bounds* warps) {
-  for (int offset = 16; offset > 0; offset /= 2) {
-    Bounds other;
-#pragma unroll
-    for (int d = 0; d < 3; ++d) {
-      other.low[d] = __shfl_down_sync(0xffffffffu, b.low[d], offset);
-      other.high[d] = __shfl_down_sync(0xffffffffu, b.high[d], offset);
-    }
-    other.smallest = __shfl_down_sync(0xffffffffu, b.smallest, offset);
-    other.largest = __shfl_down_sync(0xffffffffu, b.largest, offset);
-    include(b, other);
-  }
-  if (threadIdx.x % 32 == 0) warps[threadIdx.x / 32] = b;
-  __syncthreads();
-  if (threadIdx.x == 0) {
-    for (int w = 1; w < Threads / 32; ++w) include(b, warps[w]);
-  }
-  return b;
+// Weaker than __threadfence(), which is sequentially consistent.
+__device__ __forceinline__ void fence_device() {
+  asm volatile("fence.acq_rel.gpu;" ::: "memory");
 }
 
 /// Edges of twice the largest radius (a fraction of it along z), enlarged until the grid fits.
@@ -278,88 +261,147 @@ __device__ inline Grid choose_grid(const Bounds& b, int capacity) {
 template <class Policy, class Source>
 __global__ void __launch_bounds__(Policy::bounds_threads)
     find_bounds(const __grid_constant__ Source source, const __grid_constant__ Storage s) {
-  __shared__ Bounds warps[Policy::bounds_threads / 32];
-  __shared__ bool last_block;
+  constexpr int keys = Policy::bounds_threads / 32 * 8;
+  static_assert(Policy::bounds_threads % 32 == 0);
+  __shared__ int warp_keys[keys];
   allow_next();
   const int first = static_cast<int>(blockIdx.x * blockDim.x + threadIdx.x);
   const int stride = static_cast<int>(gridDim.x * blockDim.x);
   for (int c = first; c < s.bins; c += stride) s.bin_count[c] = 0;
   if (first == 0) *s.left_over = 0;
 
+  // By 16 bytes: number j of these holds coordinates j, j + 1, j + 2 and j of the three, modulo 3. A thread
+  // meets one j modulo 3 only, so that it need not tell them apart before the end.
   Bounds b = empty_bounds();
-  // Loads of four items in flight, also at the end, where the last item is met again.
-  const std::int64_t last = source.count - 1;
-  for (std::int64_t i = first; i <= last; i += 4 * static_cast<std::int64_t>(stride)) {
-    float3 p[4];
-    float radius[4];
+  const float4* const positions = reinterpret_cast<const float4*>(source.positions());
+  const float4* const radii = reinterpret_cast<const float4*>(source.radii());
+  const unsigned quads = static_cast<unsigned>(source.count) / 4u, threes = 3u * quads;
+  const unsigned ufirst = static_cast<unsigned>(first), step = static_cast<unsigned>(stride) / 3u * 3u;
+  if (ufirst < step) {
+    for (unsigned round = 0; ufirst + 3u * round * step < threes; ++round) {
+      float4 p[3];
 #pragma unroll
-    for (int k = 0; k < 4; ++k) {
-      const int item = static_cast<int>(min(i + k * static_cast<std::int64_t>(stride), last));
-      p[k] = source.position(item);
-      radius[k] = source.radius(item);
+      for (unsigned c = 0; c < 3; ++c) {
+        const unsigned j = ufirst + (3u * round + c) * step;
+        p[c] = positions[j < threes ? j : ufirst];
+      }
+      const unsigned j = ufirst + round * step;
+      const float4 r = radii[j < quads ? j : 0u];
+#pragma unroll
+      for (int c = 0; c < 3; ++c) {
+        b.low[0] = fminf(fminf(b.low[0], p[c].x), p[c].w);
+        b.low[1] = fminf(b.low[1], p[c].y);
+        b.low[2] = fminf(b.low[2], p[c].z);
+        b.high[0] = fmaxf(fmaxf(b.high[0], p[c].x), p[c].w);
+        b.high[1] = fmaxf(b.high[1], p[c].y);
+        b.high[2] = fmaxf(b.high[2], p[c].z);
+      }
+      b.smallest = fminf(fminf(fminf(b.smallest, r.x), fminf(r.y, r.z)), r.w);
+      b.largest = fmaxf(fmaxf(fmaxf(b.largest, r.x), fmaxf(r.y, r.z)), r.w);
     }
+  }
+  // Coordinate d is number d - first, modulo 3.
+  const Bounds turned = b;
+  const int phase = first % 3;
 #pragma unroll
-    for (int k = 0; k < 4; ++k)
-      include(b, {{p[k].x, p[k].y, p[k].z}, {p[k].x, p[k].y, p[k].z}, radius[k], radius[k]});
+  for (int d = 0; d < 3; ++d) {
+    const int second = (d + 2) % 3, third = (d + 1) % 3;
+    b.low[d] = phase == 0 ? turned.low[d] : phase == 1 ? turned.low[second] : turned.low[third];
+    b.high[d] = phase == 0 ? turned.high[d] : phase == 1 ? turned.high[second] : turned.high[third];
   }
-  b = block_bounds<Policy::bounds_threads>(b, warps);
-  if (threadIdx.x == 0) {
-    s.partial[blockIdx.x] = b;
-    __threadfence();
-    last_block = atomicAdd(&bounds_finished, 1u) + 1u == gridDim.x;
+  // The last items do not fill 16 bytes.
+  const unsigned rest = 4u * quads + ufirst;
+  if (rest < static_cast<unsigned>(source.count)) {
+#pragma unroll
+    for (unsigned d = 0; d < 3; ++d) {
+      const float x = source.positions()[3u * rest + d];
+      b.low[d] = fminf(b.low[d], x);
+      b.high[d] = fmaxf(b.high[d], x);
+    }
+    const float radius = source.radii()[rest];
+    b.smallest = fminf(b.smallest, radius);
+    b.largest = fmaxf(b.largest, radius);
   }
+
+  // Of the warp, of the block, of all: keys of the eight numbers, whose least one is the extreme.
+  const int thread = static_cast<int>(threadIdx.x), lane = thread % 32;
+  const float extremes[8] = {b.low[0],  b.low[1],  b.low[2],  b.smallest,
+                             b.high[0], b.high[1], b.high[2], b.largest};
+  int key = no_key;
+#pragma unroll
+  for (int w = 0; w < 8; ++w) {
+    const int own = ordered(__float_as_int(extremes[w]));
+    const int least = __reduce_min_sync(0xffffffffu, w < 4 ? own : ~own);
+    if (lane == w) key = least;
+  }
+  if (lane < 8) warp_keys[thread / 32 * 8 + lane] = key;
   __syncthreads();
-  if (!last_block) return;
-  __threadfence();
-  b = empty_bounds();
-  for (int k = static_cast<int>(threadIdx.x); k < static_cast<int>(gridDim.x); k += Policy::bounds_threads) {
-    const float* const words = reinterpret_cast<const float*>(s.partial + k);
-    Bounds other;
-    for (int d = 0; d < 3; ++d) {
-      other.low[d] = __ldcg(words + d);
-      other.high[d] = __ldcg(words + 3 + d);
-    }
-    other.smallest = __ldcg(words + 6);
-    other.largest = __ldcg(words + 7);
-    include(b, other);
+  if (thread >= 32) return;
+  key = no_key;
+#pragma unroll
+  for (int k = 0; k < keys; k += 32) {
+    if (k + lane < keys) key = min(key, warp_keys[k + lane]);
   }
-  b = block_bounds<Policy::bounds_threads>(b, warps);
-  if (threadIdx.x == 0) {
+  key = min(key, __shfl_xor_sync(0xffffffffu, key, 8));
+  key = min(key, __shfl_xor_sync(0xffffffffu, key, 16));
+  if (lane < 8) atomicMin(bounds_keys + lane, key);
+  __syncwarp();
+  fence_device();
+  unsigned done = 0;
+  if (lane == 0) done = atomicAdd(&bounds_finished, 1u) + 1u;
+  if (__shfl_sync(0xffffffffu, done, 0) != gridDim.x) return;
+  fence_device();
+  __syncwarp();
+  key = lane < 8 ? __ldcg(bounds_keys + lane) : 0;
+  if (lane >= 4) key = ~key;
+  const float extreme = __int_as_float(ordered(key));
+#pragma unroll
+  for (int d = 0; d < 3; ++d) {
+    b.low[d] = __shfl_sync(0xffffffffu, extreme, d);
+    b.high[d] = __shfl_sync(0xffffffffu, extreme, 4 + d);
+  }
+  b.smallest = __shfl_sync(0xffffffffu, extreme, 3);
+  b.largest = __shfl_sync(0xffffffffu, extreme, 7);
+  if (lane < 8) bounds_keys[lane] = no_key;
+  if (lane == 0) {
     *s.grid = choose_grid<Policy>(b, s.capacity);
     bounds_finished = 0;
   }
 }
 
-/// Shared memory of split_items: a tile's records and their places, and two numbers of each bin.
+/// Shared memory of split_items: what a tile's items are made of, and two numbers of each bin.
 template <class Policy, class Source>
 std::size_t split_bytes(int bins) {
-  return (sizeof(typename Source::Record) + sizeof(int)) * Policy::split_threads * Policy::split_each +
+  return sizeof(float) * Source::chunk_floats * (Policy::split_threads / 32 * Policy::split_each) +
          2 * sizeof(int) * static_cast<std::size_t>(bins);
 }
 
+// A warp fetches the chunks of its own items, and makes records of them at the beginning of a tile; then the
+// next tile's may come. So no barrier belongs to them.
 template <class Policy, class Source>
 __global__ void __launch_bounds__(Policy::split_threads, Policy::split_blocks_per_sm)
     split_items(const __grid_constant__ Source source, const __grid_constant__ Storage s) {
   using Record = typename Source::Record;
   constexpr int threads = Policy::split_threads, each = Policy::split_each;
-  constexpr int words = static_cast<int>(sizeof(Record) / sizeof(float4));
+  constexpr int chunk_floats = Source::chunk_floats;
   constexpr int at_once = 4;  // atomics of a thread that are under way
-  static_assert(sizeof(Record) % sizeof(float4) == 0 && threads % 32 == 0);
+  static_assert(sizeof(Record) == record_words * sizeof(float4) && alignof(Record) == sizeof(Record));
+  static_assert(chunk_floats % 4 == 0 && threads % 32 == 0);
   static_assert(threads * each <= 65536 && Policy::most_bins <= 65536);
   extern __shared__ float4 dynamic_shared[];
-  Record* const staged = reinterpret_cast<Record*>(dynamic_shared);  // the tile's records by bins
-  int* const target = reinterpret_cast<int*>(staged + threads * each);
-  // Of each bin, x: its items in the tile, then where they begin among the tile's; y: those placed before.
-  int2* const of_bin = reinterpret_cast<int2*>(target + threads * each);
-  __shared__ int warps[threads / 32];
+  float* const chunks = reinterpret_cast<float*>(dynamic_shared);
+  // Of each bin: its items in the tile, then those placed before. And of the next tile.
+  int* of_bin = reinterpret_cast<int*>(chunks + threads / 32 * each * chunk_floats);
+  int* of_bin_next = of_bin + s.bins;
   __shared__ Grid grid;
-  const int thread = static_cast<int>(threadIdx.x);
+  const int thread = static_cast<int>(threadIdx.x), lane = thread % 32, warp_first = thread - lane;
+  float* const own_chunks = chunks + warp_first / 32 * each * chunk_floats;
   allow_next();
-  Record record[each];
   const auto fetch = [&](int begin) {
-    const int last = min(begin + s.tile, source.count) - 1;
 #pragma unroll
-    for (int k = 0; k < each; ++k) record[k] = source.record(min(begin + thread + k * threads, last));
+    for (int k = 0; k < each; ++k)
+      source.prefetch(own_chunks + k * chunk_floats, begin + warp_first + k * threads,
+                      min(begin + s.tile, source.count));
   };
   const int stride = static_cast<int>(gridDim.x) * s.tile;
   int begin = static_cast<int>(blockIdx.x) * s.tile;
@@ -367,72 +409,84 @@ __global__ void __launch_bounds__(Policy::split_threads, Policy::split_blocks_pe
   wait_for_previous();
   if (thread == 0) grid = *s.grid;
   const int bins = bins_of<Policy>(*s.grid);
+  for (int b = thread; b < bins; b += threads) of_bin[b] = 0;
+  __syncthreads();
   for (;;) {
     const int items = min(s.tile, source.count - begin);
-    for (int b = thread; b < bins; b += threads) of_bin[b].x = 0;
-    __syncthreads();
+    Record record[each];
+    wait_for_copies();
+    __syncwarp();  // and for the other lanes'
+#pragma unroll
+    for (int k = 0; k < each; ++k)
+      record[k] = source.record(own_chunks + k * chunk_floats, begin + thread + k * threads);
+    __syncwarp();
+    const int next = begin + stride;
+    if (next < source.count) fetch(next);
     unsigned found[each] = {};  // bins of the thread's items, and ranks among the tile's
 #pragma unroll
     for (int k = 0; k < each; ++k) {
       if (thread + k * threads < items) {
         const int bin = cell_of(grid, source.position(record[k])) / Policy::bin_cells;
-        found[k] = static_cast<unsigned>(bin) | static_cast<unsigned>(atomicAdd(&of_bin[bin].x, 1)) << 16;
+        found[k] = static_cast<unsigned>(bin) | static_cast<unsigned>(atomicAdd(of_bin + bin, 1)) << 16;
       }
     }
     __syncthreads();
-    // A thread's bins are `threads` apart, and the tile is sorted in the order of threads.
-    const auto reserve = [&](int b) { return of_bin[b].x > 0 ? atomicAdd(s.bin_count + b, of_bin[b].x) : 0; };
-    int reserved[at_once], own = 0;
-#pragma unroll
-    for (int k = 0; k < at_once; ++k) {
-      const int b = thread + k * threads;
-      reserved[k] = b < bins ? reserve(b) : 0;
-      own += b < bins ? of_bin[b].x : 0;
-    }
 #pragma unroll 1
-    for (int b = thread + at_once * threads; b < bins; b += threads) {
-      of_bin[b].y = reserve(b);
-      own += of_bin[b].x;
-    }
-    int place = sum_before<threads>(own, warps);
-    const auto begin_at_place = [&](int b) {
-      const int here = of_bin[b].x;
-      of_bin[b].x = place;
-      place += here;
-    };
+    for (int from = thread; from < bins; from += at_once * threads) {
+      int placed[at_once];
 #pragma unroll
-    for (int k = 0; k < at_once; ++k) {
-      const int b = thread + k * threads;
-      if (b >= bins) continue;
-      begin_at_place(b);
-      of_bin[b].y = reserved[k];
+      for (int k = 0; k < at_once; ++k) {
+        const int b = from + k * threads;
+        const int here = b < bins ? of_bin[b] : 0;
+        placed[k] = here > 0 ? atomicAdd(s.bin_count + b, here) : 0;
+      }
+#pragma unroll
+      for (int k = 0; k < at_once; ++k) {
+        const int b = from + k * threads;
+        if (b < bins) of_bin_next[b] = 0;
+      }
+#pragma unroll
+      for (int k = 0; k < at_once; ++k) {
+        const int b = from + k * threads;
+        if (b < bins) of_bin[b] = placed[k];
+      }
     }
-#pragma unroll 1
-    for (int b = thread + at_once * threads; b < bins; b += threads) begin_at_place(b);
     __syncthreads();
 #pragma unroll
     for (int k = 0; k < each; ++k) {
+      int target = -1;
       if (thread + k * threads < items) {
-        const int bin = static_cast<int>(found[k] & 0xffffu), rank = static_cast<int>(found[k] >> 16);
-        const int2 start = of_bin[bin];
-        const int to = start.x + rank, in_bin = start.y + rank;
-        staged[to] = record[k];
-        target[to] = bin * Policy::bin_items + in_bin;
+        const int bin = static_cast<int>(found[k] & 0xffffu);
+        const int in_bin = of_bin[bin] + static_cast<int>(found[k] >> 16);
+        target = bin * Policy::bin_items + in_bin;
         if (in_bin >= Policy::bin_items) {
           const int left = atomicAdd(s.left_over, 1);
           s.left_bin[left] = bin;
-          target[to] = s.bins * Policy::bin_items + left;
+          target = s.bins * Policy::bin_items + left;
         }
       }
+      // A pair of lanes writes first the even one's record, then the odd one's, each lane a word of it.
+      const float4* const word = reinterpret_cast<const float4*>(&record[k]);
+      const bool odd = lane % 2 != 0;
+      const auto choose = [&](const float4& if_odd, const float4& if_even) {
+        return make_float4(odd ? if_odd.x : if_even.x, odd ? if_odd.y : if_even.y, odd ? if_odd.z : if_even.z,
+                           odd ? if_odd.w : if_even.w);
+      };
+      const float4 kept = choose(word[1], word[0]), given = choose(word[0], word[1]);
+      const float4 taken =
+          make_float4(__shfl_xor_sync(0xffffffffu, given.x, 1), __shfl_xor_sync(0xffffffffu, given.y, 1),
+                      __shfl_xor_sync(0xffffffffu, given.z, 1), __shfl_xor_sync(0xffffffffu, given.w, 1));
+      const int other = __shfl_xor_sync(0xffffffffu, target, 1);
+      const int even_target = odd ? other : target, odd_target = odd ? target : other;
+      if (even_target >= 0) reinterpret_cast<float4*>(source.split + even_target)[odd] = choose(taken, kept);
+      if (odd_target >= 0) reinterpret_cast<float4*>(source.split + odd_target)[odd] = choose(kept, taken);
     }
-    __syncthreads();
-    begin += stride;
-    const bool more = begin < source.count;
-    if (more) fetch(begin);
-#pragma unroll 1  // few registers are left by what is under way
-    for (int word = thread; word < items * words; word += threads)
-      reinterpret_cast<float4*>(source.split + target[word / words])[word % words] = dynamic_shared[word];
-    if (!more) break;
+    begin = next;
+    if (begin >= source.count) break;
+    // Set to zero two barriers ago; read for the last time before the next barrier.
+    int* const of_next_but_one = of_bin;
+    of_bin = of_bin_next;
+    of_bin_next = of_next_but_one;
   }
 }
 
@@ -444,23 +498,31 @@ template <class Policy, class Source>
 __global__ void __launch_bounds__(Policy::bin_threads, Policy::bin_blocks_per_sm)
     sort_bins(const __grid_constant__ Source source, const __grid_constant__ Storage s) {
   using Record = typename Source::Record;
-  constexpr int threads = Policy::bin_threads, words = static_cast<int>(sizeof(Record) / sizeof(float4));
+  constexpr int threads = Policy::bin_threads, words = record_words;
   constexpr int bin_cells = Policy::bin_cells, row = bin_row<Policy>;
   constexpr int share = (Policy::bin_items + threads - 1) / threads;  // most records of a thread
   static_assert(bin_cells % 4 == 0 && threads >= bin_cells / 4 && threads % 32 == 0);
   static_assert(Policy::bin_items <= 65536 && bin_cells <= 65536);
   allow_next();
-  wait_for_previous();
-  const Grid grid = *s.grid;
   const int thread = static_cast<int>(threadIdx.x), bin = static_cast<int>(blockIdx.x);
+  wait_for_previous();
+  // The records wait for `count` alone, and what else is needed is under way before them. (Bins that are not
+  // in use hold nothing, so that the grid need not be known.)
+  const int count = s.bin_count[bin];
+  constexpr int sums_at_once = 5;  // all, in the paper's size
+  int counts_before[sums_at_once];
+#pragma unroll
+  for (int k = 0; k < sums_at_once; ++k) {
+    const int b = thread + k * threads;
+    counts_before[k] = b < bin ? s.bin_count[b] : 0;
+  }
+  const Grid grid = *s.grid;
   const int first_cell = bin * bin_cells;
-  if (first_cell >= grid.total) return;
   extern __shared__ float4 dynamic_shared[];  // the bin's records as they came
   __shared__ int4 cell_counts[bin_cells / 4];
   __shared__ unsigned short order[Policy::bin_items];  // which of them comes to each slot
   __shared__ int warps[threads / 32], sums[threads / 32];
   int* const cells = reinterpret_cast<int*>(cell_counts);
-  const int count = s.bin_count[bin];
   const bool fits = count <= Policy::bin_items;
   const Record* const incoming = source.split + static_cast<std::size_t>(bin) * Policy::bin_items;
   const auto staged = [&](int k) {
@@ -497,9 +559,13 @@ __global__ void __launch_bounds__(Policy::bin_threads, Policy::bin_blocks_per_sm
     for (int w = thread; w < count * words; w += threads)
       copy_async(dynamic_shared + w % words * row + w / words, from + w);
   }
+  if (first_cell >= grid.total) return;
   // Of the bins before, while the records are under way.
   int begin = 0;
-  for (int b = thread; b < bin; b += threads) begin += s.bin_count[b];
+#pragma unroll
+  for (int k = 0; k < sums_at_once; ++k) begin += counts_before[k];
+#pragma unroll 1
+  for (int b = thread + sums_at_once * threads; b < bin; b += threads) begin += s.bin_count[b];
   begin = __reduce_add_sync(0xffffffffu, begin);
   if (thread % 32 == 0) sums[thread / 32] = begin;
   if (thread < bin_cells / 4) cell_counts[thread] = make_int4(0, 0, 0, 0);
@@ -579,13 +645,11 @@ class NeighbourGrid {
         (items + Policy::bounds_threads - 1) / Policy::bounds_threads, 1, Policy::bounds_blocks));
     const auto bins = static_cast<std::size_t>(s_.bins);
     grid_ = DeviceBuffer<Grid>(1);
-    partial_ = DeviceBuffer<detail::Bounds>(bounds_blocks_);
     start_ = DeviceBuffer<int>(bins * Policy::bin_cells + 1);
     bin_count_ = DeviceBuffer<int>(bins);
     left_over_ = DeviceBuffer<int>(1);
     left_bin_ = DeviceBuffer<int>(static_cast<std::size_t>(items));
     s_.grid = grid_.get();
-    s_.partial = partial_.get();
     s_.start = start_.get();
     s_.bin_count = bin_count_.get();
     s_.left_over = left_over_.get();
@@ -630,7 +694,6 @@ class NeighbourGrid {
   detail::Storage s_{};
   unsigned bounds_blocks_ = 1;
   DeviceBuffer<Grid> grid_;
-  DeviceBuffer<detail::Bounds> partial_;
   DeviceBuffer<int> start_, bin_count_, left_over_, left_bin_;
 };
 

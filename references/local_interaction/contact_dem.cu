@@ -9,11 +9,14 @@
 // evaluated twice, once from either side, with bitwise opposite results: no atomics, and forces balance to
 // the rounding of each sum.
 //
-// What bounds it: the sort, waits for memory (300 MB in and out by ncu, most of it records, at half the rate
-// of a copy: NOTES.md); the search, instructions and L1. A grain meets 8.2 columns of cells and 37 candidates
-// (cells of 1.2 x 1.2 x 0.6 against a reach of 1.15), of which 4.7 touch. What pays:
-// - Sorting in two levels: atomics and partly written sectors stay in shared memory. The first level writes
-//   in the order of bins, tile by tile, so that DRAM gets whole lines.
+// What bounds it: the sort, L2 and waits for memory (300 MB in and out by ncu, most of it records, at half
+// the rate of a copy: NOTES.md); the search, instructions (64 % of the issue slots) and L1 (77 %: of
+// its 25 million wavefronts a third each for codes and for what the force gathers). A grain meets 8.2 columns
+// of cells and 37 candidates (cells of 1.2 x 1.2 x 0.6 against a reach of 1.15), of which 4.7 touch. What
+// pays:
+// - Sorting in two levels: most atomics stay in shared memory, and records leave as whole sectors, close to
+//   others of their bin.
+// - Inputs are read by 16 bytes, whole lines a warp, and wait in shared memory for their turn.
 // - Codes: a candidate costs one word instead of four (1.9 cache lines a load instead of about 7) and four
 //   instructions: load, add, dp4a, shift. The test errs on the side of contact only and passes 0.6 candidates
 //   a grain too many; the exact one in FP32 decides.
@@ -29,10 +32,14 @@
 //   all banks of L1.
 // The forces go back to the order of the input by scattered writes; three neighbouring lanes write the three
 // words of a grain, so that it costs one or two sectors instead of three requests.
+#include <cstdint>
+#include <stdexcept>
+#include <string>
 #include <type_traits>
 
 #include "cases/local_interaction/contact_dem.hpp"
 #include "core/module.hpp"
+#include "references/common/approximate.cuh"
 #include "references/common/neighbour_grid.cuh"
 
 namespace gpuphys::contact_dem {
@@ -43,7 +50,7 @@ struct GridPolicy : neighbour_grid::DefaultPolicy {
   static constexpr int bounds_threads = 256;
   static constexpr int bounds_blocks = 96;
   static constexpr int split_threads = 128;
-  static constexpr int split_each = 3;
+  static constexpr int split_each = 2;
   static constexpr int split_blocks = 40;
   static constexpr int split_blocks_per_sm = 8;
   static constexpr int bin_cells = 384;
@@ -63,13 +70,14 @@ struct Policy {
 #else
 using GridPolicy = neighbour_grid::DefaultPolicy;
 struct Policy {
-  // Four columns of the paper's packing: its warps share what they read of the columns between.
-  static constexpr int threads = 640;
+  // Two columns of the paper's packing: its warps share what they read of the columns between. Larger blocks
+  // leave places of their warps free for longer when they end.
+  static constexpr int threads = 320;
   static constexpr int at_once = 6;  // candidates tested before the first look at a range's length
   static constexpr int more = 3;     // and between two looks
   static constexpr int run = 30;     // of one queue entry: at_once and a multiple of `more`; at most 32
   static constexpr int queue = 8;  // columns with hits a grain may have before they are evaluated in between
-  static constexpr int blocks_per_sm = 2;
+  static constexpr int blocks_per_sm = 4;
 };
 #endif
 
@@ -78,23 +86,6 @@ static_assert(Policy::run <= 32 && (Policy::run - Policy::at_once) % Policy::mor
 static_assert(Policy::queue >= columns && Policy::threads % 32 == 0);
 // Codes behind the last grain's: they may be read, but are not grains.
 constexpr int padding = Policy::at_once > Policy::more ? Policy::at_once : Policy::more;
-
-// Flushing results too small for the contract spares the code that would scale them.
-__device__ __forceinline__ float approximate_sqrt(float a) {
-  float root;
-  asm("sqrt.approx.ftz.f32 %0, %1;" : "=f"(root) : "f"(a));  // 1 ulp, and 0 for 0
-  return root;
-}
-__device__ __forceinline__ float approximate_rsqrt(float a) {
-  float root;
-  asm("rsqrt.approx.ftz.f32 %0, %1;" : "=f"(root) : "f"(a));
-  return root;
-}
-__device__ __forceinline__ float approximate_inverse(float a) {
-  float inverse;
-  asm("rcp.approx.ftz.f32 %0, %1;" : "=f"(inverse) : "f"(a));
-  return inverse;
-}
 
 // A grain, one sector.
 struct alignas(32) Grain {
@@ -162,15 +153,32 @@ struct Grains {
   unsigned* __restrict__ codes;
   int count;
 
-  __device__ __forceinline__ float3 position(int i) const {
-    const std::size_t o = 3 * static_cast<std::size_t>(i);
-    return {x[o], x[o + 1], x[o + 2]};
+  __device__ __forceinline__ const float* positions() const { return x; }
+  __device__ __forceinline__ const float* radii() const { return r; }
+  // As they are: 96 words of x, 96 of v, 32 radii; 56 pieces of 16 bytes.
+  static constexpr int chunk_v = 3 * 32, chunk_r = 6 * 32, chunk_floats = 7 * 32;
+  __device__ __forceinline__ void prefetch(float* chunk, int first, int end) const {
+    const unsigned lane = threadIdx.x % 32, ufirst = static_cast<unsigned>(first);
+    const unsigned uend = static_cast<unsigned>(end);
+    constexpr unsigned piece_v = chunk_v / 4, piece_r = chunk_r / 4, pieces = chunk_floats / 4;
+#pragma unroll
+    for (unsigned part = 0; part < 2; ++part) {
+      const unsigned piece = lane + 32u * part;
+      const float* const array = piece < piece_v ? x : piece < piece_r ? v : r;
+      const unsigned word = piece < piece_v   ? 3u * ufirst + 4u * piece
+                            : piece < piece_r ? 3u * ufirst + 4u * (piece - piece_v)
+                                              : ufirst + 4u * (piece - piece_r);
+      const unsigned last = piece < piece_r ? 3u * uend : uend;
+      const unsigned bytes = word < last ? min(4u * (last - word), 16u) : 0u;
+      if (piece < pieces)
+        neighbour_grid::copy_async(chunk + 4u * piece, array + (bytes > 0u ? word : 0u), bytes);
+    }
   }
-  __device__ __forceinline__ float radius(int i) const { return r[i]; }
-  __device__ __forceinline__ Grain record(int i) const {
-    const std::size_t o = 3 * static_cast<std::size_t>(i);
-    return {make_float4(x[o], x[o + 1], x[o + 2], r[i]),
-            make_float4(__ldcs(v + o), __ldcs(v + o + 1), __ldcs(v + o + 2), __int_as_float(i))};
+  __device__ __forceinline__ Grain record(const float* chunk, int i) const {
+    const unsigned lane = threadIdx.x % 32;
+    const float* const own = chunk + 3u * lane;
+    return {make_float4(own[0], own[1], own[2], chunk[chunk_r + lane]),
+            make_float4(own[chunk_v], own[chunk_v + 1], own[chunk_v + 2], __int_as_float(i))};
   }
   __device__ __forceinline__ float3 position(const Grain& grain) const {
     return {grain.sphere.x, grain.sphere.y, grain.sphere.z};
@@ -375,6 +383,9 @@ class Reference {
   void compute(const Inputs& in, const Outputs<float>& out) {
     const int n = static_cast<int>(in.radius.shape[0]);
     if (n == 0) return;
+    require_aligned(in.x.data, "x");
+    require_aligned(in.v.data, "v");
+    require_aligned(in.radius.data, "radius");
     const auto blocks = [n](int threads) { return static_cast<unsigned>((n + threads - 1) / threads); };
     grid_.build(Grains{in.x.data, in.v.data, in.radius.data, split_.get(), sorted_.get(), codes_.get(), n});
     // An ordinary launch: blocks that join those of sort_bins on an SM would get what these leave of L1.
@@ -384,6 +395,12 @@ class Reference {
   }
 
  private:
+  // The sort reads its inputs by 16 bytes.
+  static void require_aligned(const float* data, const char* name) {
+    if (reinterpret_cast<std::uintptr_t>(data) % 16 != 0)
+      throw std::runtime_error("contact_dem: " + std::string(name) + " is not aligned to 16 bytes");
+  }
+
   neighbour_grid::NeighbourGrid<GridPolicy> grid_;
   DeviceBuffer<Grain> split_;
   DeviceBuffer<float4> sorted_;

@@ -11,8 +11,9 @@
 //   scatter    two warps for a piece of a list: sort it by cell in shared memory; a thread owns a cell and
 //              sums 27 nodes' {mass, momentum} in registers; cells side by side along y and z are added up
 //              by shuffles, along x through shared memory; one vector reduction for each of the tile's 216
-//              nodes goes out to L2. Between pieces: zeros where no particle reaches
-//   normalise  a thread for four nodes that some particle may reach: divides
+//              nodes goes out to L2, but for those that wait in shared memory for the block's next piece, if
+//              that is of the next tile along z. Between pieces: zeros where no particle reaches
+//   normalise  a thread for 16 nodes that some particle may reach: divides
 //
 // What bounds it (16.86M particles): DRAM in count (0.24 GB), assign (0.10 GB) and place (1.08 GB read, 1.08
 // GB written at random places); in scatter instructions (271 a particle, some 170 more around them) nearly as
@@ -20,11 +21,13 @@
 //
 // What pays: no atomics at L2, 55 G/s whatever their addresses, for counts and slots. A stress near a
 // rotation takes no rotation (fixed_corotated.cuh). A record is two whole sectors and leaves in one
-// instruction: as three 16-byte stores at random places, records kept DRAM busy with row changes (NOTES.md).
-// The next piece's list is on its way while the present one's sums are added up. Summing in registers first
-// leaves some 30 shared accesses a cell instead of 864 atomics; factoring the 27 weights, with the sum of
-// three nodes in place of the middle one along each axis, takes 10 multiply-adds and additions a node and
-// particle for all four sums; one thread for all 27 nodes of a cell reads each record once.
+// instruction: as three 16-byte stores at random places, records kept DRAM busy with row changes, and records
+// of 48 bytes, written at once, leave half sectors behind that cost half as much time again, more than their
+// fewer bytes save (NOTES.md). The next piece's list is on its way while the present one's sums are added up.
+// Summing in registers first leaves some 30 shared accesses a cell instead of 864 atomics; factoring the 27
+// weights, with the sum of three nodes in place of the middle one along each axis, takes 10 multiply-adds and
+// additions a node and particle for all four sums; one thread for all 27 nodes of a cell reads each record
+// once.
 #include <cuda_pipeline.h>
 
 #include <algorithm>
@@ -46,23 +49,24 @@ using particle_grid::WorkItem;
 struct Policy {
   static constexpr int mark_threads = 256;
   static constexpr int mark_stride = 32;  // one row of 32 particles in so many
-  static constexpr int plan_threads = 256;
 #ifdef GPUPHYS_OTHER_BLOCKS
+  static constexpr int plan_threads = 128;
+  static constexpr int run = 3;
   static constexpr int count_threads = 512;
-  static constexpr int count_per_thread = 3;
   static constexpr int count_shared = 128 * 1024;  // takes half the tiles of the paper's size
   static constexpr int place_threads = 256;
   static constexpr int place_blocks_per_sm = 4;
   static constexpr int piece = 320;
   static constexpr int scatter_blocks_per_sm = 3;
 #else
-  static constexpr int count_threads = 1024;  // a block an SM: its histogram fills shared memory
-  static constexpr int count_per_thread = 4;
+  static constexpr int plan_threads = 256;
+  static constexpr int run = 8;  // pieces, mostly of tiles side by side, that a block takes in a row
+  static constexpr int count_threads = 1024;       // a block an SM: its histogram fills shared memory
   static constexpr int count_shared = 195 * 1024;  // leaves 60 KB of L1 to its loads
   static constexpr int place_threads = 128;
   static constexpr int place_blocks_per_sm = 9;  // 36 warps in 56 registers; ten blocks spill
   static constexpr int piece =
-      576;  // particles of a tile that a block takes: eight a cell, and room for chance
+      560;  // particles of a tile that a block takes: eight a cell, and room for chance
   static constexpr int scatter_blocks_per_sm = 6;
 #endif
   static constexpr int normalise_threads = 256;
@@ -178,12 +182,30 @@ __global__ void __launch_bounds__(Policy::place_threads, Policy::place_blocks_pe
 constexpr int kRowNodes = kSide * kSide;
 constexpr int kRows = kReach * kTileSide;
 
+// The pieces in runs for blocks, some longer by one: run r begins with piece begin(r).
+struct Runs {
+  int count, length, longer;
+
+  __device__ __forceinline__ int begin(int run) const { return length * run + min(run, longer); }
+};
+
+__device__ __forceinline__ Runs runs_of(int pieces, int blocks) {
+  const int rounds = max((pieces + Policy::run * blocks - 1) / (Policy::run * blocks), 1);
+  const int count = rounds * blocks;
+  return {count, pieces / count, pieces % count};
+}
+
+constexpr int kHalo = kReach - 1;
+constexpr int kNodes = kSide * kSide * kSide;  // of a tile with its halo
+
 struct ScatterShared {
   float4 list[kRecord * Policy::piece];
   float4 sums[kRows * kRowNodes];
+  float4 carry[2][kRowNodes * kHalo];  // highest nodes along z, for the next piece; in turns
+  Runs runs;
   int counts[kCells];
   int starts[kCells + 1];
-  unsigned short order[Policy::piece];
+  unsigned short order[Policy::piece + 1];  // and one that is read, not used
 };
 
 // Sums of one thread: the 27 nodes of its cell, {mass, momentum}, mass in units of a particle's. While
@@ -207,7 +229,7 @@ __device__ __forceinline__ void add_particle(Sums& sums, const float (&centre)[3
     for (int oy = 0; oy < kReach; ++oy) {
       const float wxy = oy == 1 ? wx : wx * y.w[oy];
       sums.s[ox][oy][0][0] += wxy * z.w[0];
-      sums.s[ox][oy][1][0] += wxy;
+      if (ox != 1 || oy != 1) sums.s[ox][oy][1][0] += wxy;  // else 1 a particle
       sums.s[ox][oy][2][0] += wxy * z.w[2];
     }
   }
@@ -301,16 +323,19 @@ __device__ __forceinline__ void fetch(ScatterShared& shared, const float4* __res
 // Sorts the piece's records by cell: order[starts[cell] ..) lists them.
 __device__ __forceinline__ void sort_by_cell(ScatterShared& shared, int count) {
   const int thread = static_cast<int>(threadIdx.x);
-  unsigned cell_and_rank[kRounds];
+  // Straight through, whether or not there is a record: branches would have each round wait for the last.
+  int cells[kRounds], ranks[kRounds] = {};
 #pragma unroll
   for (int s = 0; s < kRounds; ++s) {
-    const int p = thread + s * kScatterThreads;
-    if (p < count) {
-      const float4 a = shared.list[kRecord * p];
-      const int cell = (particle_grid::cell_of(a.x) * kTileSide + particle_grid::cell_of(a.y)) * kTileSide +
-                       particle_grid::cell_of(a.z);
-      cell_and_rank[s] = static_cast<unsigned>(atomicAdd(&shared.counts[cell], 1) * kCells + cell);
-    }
+    int p = thread + s * kScatterThreads;
+    if ((s + 1) * kScatterThreads > Policy::piece) p = min(p, Policy::piece - 1);
+    const float4 a = shared.list[kRecord * p];
+    cells[s] = (particle_grid::cell_of(a.x) * kTileSide + particle_grid::cell_of(a.y)) * kTileSide +
+               particle_grid::cell_of(a.z);
+  }
+#pragma unroll
+  for (int s = 0; s < kRounds; ++s) {
+    if (thread + s * kScatterThreads < count) ranks[s] = atomicAdd(&shared.counts[cells[s]], 1);
   }
   __syncthreads();
   if (thread < 32) {
@@ -327,12 +352,11 @@ __device__ __forceinline__ void sort_by_cell(ScatterShared& shared, int count) {
   }
   __syncthreads();
 #pragma unroll
+  for (int s = 0; s < kRounds; ++s) cells[s] = shared.starts[cells[s]];
+#pragma unroll
   for (int s = 0; s < kRounds; ++s) {
     const int p = thread + s * kScatterThreads;
-    if (p < count) {
-      const unsigned cell = cell_and_rank[s] % kCells, rank = cell_and_rank[s] / kCells;
-      shared.order[shared.starts[cell] + rank] = static_cast<unsigned short>(p);
-    }
+    if (p < count) shared.order[cells[s] + ranks[s]] = static_cast<unsigned short>(p);
   }
   __syncthreads();
 }
@@ -375,22 +399,52 @@ __device__ __forceinline__ void store_rows(ScatterShared& shared, Sums& sums, in
   }
 }
 
-// Adds up the planes that meet in each node of the tile and its halo, and adds the node to the grid.
-__device__ __forceinline__ void flush_nodes(const ScatterShared& shared, const TileGrid& grid,
-                                            const int4& tile, float4* __restrict__ accumulators) {
-  for (int node = static_cast<int>(threadIdx.x); node < kSide * kSide * kSide; node += kScatterThreads) {
-    const unsigned at = static_cast<unsigned>(node);
-    const unsigned x = at / kRowNodes, y = at / kSide % kSide, z = at % kSide;
-    float4 sum = make_float4(0.0f, 0.0f, 0.0f, 0.0f);
+// Adds up the planes that meet in each node of the tile and its halo, and adds the node to the grid. Where
+// the block's next piece lies one tile on along z, the nodes that both reach wait for it.
+__device__ __forceinline__ void flush_nodes(ScatterShared& shared, const TileGrid& grid, int piece,
+                                            const int4& tile, bool from_last, bool to_next,
+                                            float4* __restrict__ accumulators) {
+  constexpr int rounds = (kNodes + kScatterThreads - 1) / kScatterThreads;
+  const int thread = static_cast<int>(threadIdx.x);
+  float4 sums[rounds];
+#pragma unroll
+  for (int s = 0; s < rounds; ++s) {
+    const auto at = static_cast<unsigned>(min(thread + s * kScatterThreads, kNodes - 1));
+    sums[s] = make_float4(0.0f, 0.0f, 0.0f, 0.0f);
 #pragma unroll
     for (unsigned ox = 0; ox < kReach; ++ox) {
-      if (x - ox >= kTileSide) continue;  // the cell along x
-      // Node x of the tile in plane ox of cell x - ox: (ox * kTileSide + x - ox) rows of nodes on.
+      // Which x a round has is known to the compiler, and with it most of the answers.
+      constexpr unsigned threads = kScatterThreads, side = kTileSide;
+      const unsigned first_x = s * threads / kRowNodes,
+                     last_x = min((s + 1) * threads - 1, kNodes - 1u) / kRowNodes;
+      if (last_x < ox || first_x >= ox + side) continue;
+      const bool meets = (first_x >= ox && last_x < ox + side) || at / kRowNodes - ox < side;
+      // Node x of the tile in plane ox of cell x - ox: (ox * kTileSide + x - ox) rows of nodes on. Read even
+      // where there is no such cell: branches would wait for one plane after the other.
       const float4 part = shared.sums[at + ox * (kTileSide - 1) * kRowNodes];
+      sums[s].x += meets ? part.x : 0.0f;
+      sums[s].y += meets ? part.y : 0.0f;
+      sums[s].z += meets ? part.z : 0.0f;
+      sums[s].w += meets ? part.w : 0.0f;
+    }
+  }
+#pragma unroll
+  for (int s = 0; s < rounds; ++s) {
+    const auto at = static_cast<unsigned>(thread + s * kScatterThreads);
+    if (at >= kNodes) break;
+    const unsigned x = at / kRowNodes, y = at / kSide % kSide, z = at % kSide;
+    float4 sum = sums[s];
+    const unsigned column = at / kSide * kHalo;
+    if (from_last && z < kHalo) {
+      const float4 part = shared.carry[piece % 2][column + z];
       sum.x += part.x;
       sum.y += part.y;
       sum.z += part.z;
       sum.w += part.w;
+    }
+    if (to_next && z >= kTileSide) {
+      shared.carry[(piece + 1) % 2][column + z - kTileSide] = sum;
+      continue;
     }
     if (!(sum.x > 0.0f)) continue;
     // A node outside the array has a place in its block all the same, unless the block is missing too.
@@ -451,13 +505,20 @@ __global__ void __launch_bounds__(kScatterThreads, Policy::scatter_blocks_per_sm
                            static_cast<float>(cell_z + 1)};
   const int n_items = *item_count, step = static_cast<int>(gridDim.x);
   const int rows = grid.tiles[0] * grid.nodes[1];
-  int row = static_cast<int>(blockIdx.x);
-  int i = static_cast<int>(blockIdx.x);
+  int row = static_cast<int>(blockIdx.x), run = row;
+  if (thread == 0) shared.runs = runs_of(n_items, step);
+  __syncthreads();
+  int i = shared.runs.begin(run);
+  bool from_last = false;
   int count = i < n_items ? items[i].count : 0;
   if (i < n_items) fetch(shared, records, items[i].first, count);
   while (i < n_items) {
     shared.counts[thread] = 0;
-    const int next = i + step;
+    int next = i + 1;
+    if (next == shared.runs.begin(run + 1)) {
+      run += step;
+      next = run < shared.runs.count ? shared.runs.begin(run) : n_items;
+    }
     const int next_first = next < n_items ? items[next].first : 0;
     const int next_count = next < n_items ? items[next].count : 0;
     // The list is on its way: time for the part of the array that no particle reaches.
@@ -469,48 +530,60 @@ __global__ void __launch_bounds__(kScatterThreads, Policy::scatter_blocks_per_sm
 
     Sums sums{};
     const int last = shared.starts[cell + 1];
-    for (int q = shared.starts[cell]; q < last; ++q) {
-      const float4* record = shared.list + kRecord * shared.order[q];
+    // Volatile, so that the next number is on its way while a record is added, not asked for when it is
+    // needed.
+    const volatile unsigned short* order = shared.order;
+    int q = shared.starts[cell], at = order[q];
+    while (q < last) {
+      const float4* record = shared.list + kRecord * at;
+      at = order[++q];
       add_particle(sums, centre, record[0], record[1], record[2]);
     }
+    sums.s[1][1][1][0] = static_cast<float>(last - shared.starts[cell]);
     const int4 tile = items[i].tile;
     __syncthreads();  // the list is read, and the sums before
     fetch(shared, records, next_first, next_count);
     resolve(sums);
     store_rows(shared, sums, cell_x, cell_y, cell_z);
     __syncthreads();
-    flush_nodes(shared, grid, tile, accumulators);
+    const bool to_next = tile.w != 0 && next == i + 1;
+    flush_nodes(shared, grid, i, tile, from_last, to_next, accumulators);
+    from_last = to_next;
     i = next;
     count = next_count;
   }
   for (; row < rows; row += step) clear_row(grid, touched, result, row);
 }
 
-// One thread for node (j, k) of four consecutive planes i: the ones of a node block.
-__global__ void __launch_bounds__(Policy::normalise_threads)
+// A block for a row of node blocks along z, a thread for the 16 nodes of one that share z.
+__global__ void __launch_bounds__(Policy::normalise_threads, 1024 / Policy::normalise_threads)
     normalise(const __grid_constant__ TileGrid grid, const unsigned char* __restrict__ touched,
               const float4* __restrict__ accumulators, const __grid_constant__ Result result) {
-  const std::int64_t e = static_cast<std::int64_t>(blockIdx.x) * Policy::normalise_threads + threadIdx.x;
-  const std::int64_t row = e / grid.nodes[2];
-  const int k = static_cast<int>(e - row * grid.nodes[2]);
-  const int tile_x = static_cast<int>(row / grid.nodes[1]), j = static_cast<int>(row % grid.nodes[1]);
-  if (tile_x >= grid.tiles[0]) return;
-  const int block = grid.tile(tile_x, (j + 2) / kTileSide, (k + 2) / kTileSide);
-  const int local = (j + 2) % kTileSide * kTileSide + (k + 2) % kTileSide;
-  const float4* nodes = accumulators + static_cast<std::size_t>(block) * kTileNodes + local;
-  if (touched[block] == 0) return;  // scatter() left zeros
-  float4 node[kTileSide];
+  const int tile_x = static_cast<int>(blockIdx.x) / grid.tiles[1],
+            tile_y = static_cast<int>(blockIdx.x) - tile_x * grid.tiles[1];
+  const int first_i = kTileSide * tile_x - 2, first_j = kTileSide * tile_y - 2;
+  for (int k = static_cast<int>(threadIdx.x); k < grid.nodes[2]; k += Policy::normalise_threads) {
+    const int block = grid.tile(tile_x, tile_y, (k + 2) / kTileSide);
+    if (touched[block] == 0) continue;  // scatter() left zeros
+    const float4* nodes = accumulators + static_cast<std::size_t>(block) * kTileNodes + (k + 2) % kTileSide;
+#pragma unroll 2
+    for (int y = 0; y < kTileSide; ++y) {
+      const int j = first_j + y;
+      if (j < 0 || j >= grid.nodes[1]) continue;
+      float4 node[kTileSide];
 #pragma unroll
-  for (int s = 0; s < kTileSide; ++s) node[s] = __ldcs(nodes + s * kTileSide * kTileSide);
+      for (int s = 0; s < kTileSide; ++s) node[s] = __ldcs(nodes + (s * kTileSide + y) * kTileSide);
 #pragma unroll
-  for (int s = 0; s < kTileSide; ++s) {
-    const int i = kTileSide * tile_x - 2 + s;
-    if (i < 0 || i >= grid.nodes[0]) continue;
-    const std::int64_t at = (static_cast<std::int64_t>(i) * grid.nodes[1] + j) * grid.nodes[2] + k;
-    const bool has_mass = node[s].x > 0.0f;
-    __stcs(result.u[0] + at, has_mass ? node[s].y / node[s].x : 0.0f);
-    __stcs(result.u[1] + at, has_mass ? node[s].z / node[s].x : 0.0f);
-    __stcs(result.u[2] + at, has_mass ? node[s].w / node[s].x : 0.0f);
+      for (int s = 0; s < kTileSide; ++s) {
+        const int i = first_i + s;
+        if (i < 0 || i >= grid.nodes[0]) continue;
+        const std::int64_t at = (static_cast<std::int64_t>(i) * grid.nodes[1] + j) * grid.nodes[2] + k;
+        const bool has_mass = node[s].x > 0.0f;
+        __stcs(result.u[0] + at, has_mass ? node[s].y / node[s].x : 0.0f);
+        __stcs(result.u[1] + at, has_mass ? node[s].z / node[s].x : 0.0f);
+        __stcs(result.u[2] + at, has_mass ? node[s].w / node[s].x : 0.0f);
+      }
+    }
   }
 }
 
@@ -547,13 +620,11 @@ class Reference {
     };
     bins_.clear();
     const auto parts = static_cast<unsigned>(bins.parts);
-    particle_grid::mark_tiles<Policy::mark_threads, Policy::mark_stride>
-        <<<blocks(n, Policy::mark_threads * Policy::mark_stride), Policy::mark_threads>>>(grid, bins,
+    mark<<<blocks(n, Policy::mark_threads * Policy::mark_stride), Policy::mark_threads>>>(grid, bins,
                                                                                           in.x.data, n);
     count<<<parts, Policy::count_threads, particle_grid::count_shared_bytes(bins)>>>(grid, bins, in.x.data,
                                                                                      n);
-    particle_grid::plan_tiles<Policy::plan_threads>
-        <<<blocks(grid.tile_count(), Policy::plan_threads), Policy::plan_threads>>>(grid, bins, Policy::piece,
+    plan<<<blocks(grid.tile_count(), Policy::plan_threads), Policy::plan_threads>>>(grid, bins, Policy::piece,
                                                                                     accumulators_.get());
     assign<<<parts, Policy::count_threads, sizeof(int) * static_cast<std::size_t>(bins.indexed)>>>(bins, n);
     const Particles particles{in.x.data, in.v.data, in.F.data, n};
@@ -564,14 +635,14 @@ class Reference {
     const Result result{{out.ux.data, out.uy.data, out.uz.data}};
     scatter<<<static_cast<unsigned>(scatter_blocks_), kScatterThreads, sizeof(ScatterShared)>>>(
         grid, bins.items, bins.cursors + 1, records_.get(), accumulators_.get(), bins.touched, result);
-    const std::int64_t columns = static_cast<std::int64_t>(grid.tiles[0]) * grid.nodes[1] * grid.nodes[2];
-    normalise<<<blocks(columns, Policy::normalise_threads), Policy::normalise_threads>>>(
+    normalise<<<static_cast<unsigned>(grid.tiles[0] * grid.tiles[1]), Policy::normalise_threads>>>(
         grid, bins.touched, accumulators_.get(), result);
   }
 
  private:
-  static constexpr auto count =
-      particle_grid::count_particles<Policy::count_threads, Policy::count_per_thread>;
+  static constexpr auto mark = particle_grid::mark_tiles<Policy::mark_threads, Policy::mark_stride>;
+  static constexpr auto count = particle_grid::count_particles<Policy::count_threads>;
+  static constexpr auto plan = particle_grid::plan_tiles<Policy::plan_threads>;
   static constexpr auto assign = particle_grid::assign_slots<Policy::count_threads>;
 
   static TileGrid grid_of(const Inputs& in, const Outputs<float>& out) {

@@ -91,11 +91,11 @@ __device__ __forceinline__ Place locate(const TileGrid& g, float x, float y, flo
 #pragma unroll
   for (int d = 0; d < 3; ++d) {
     const float cells = in_cells[d];
-    const float base = floorf(cells - 0.5f);
-    const bool ok = base >= -2.0f && base <= static_cast<float>(g.nodes[d] - 1);
-    reaches = reaches && ok;
-    tile[d] = ((ok ? static_cast<int>(base) : 0) + 2) / kTileSide;
-    p.offset[d] = cells - static_cast<float>(kTileSide * tile[d] - 2);
+    // Whole cells from the lowest base on; what no integer holds becomes the largest or smallest of them.
+    const unsigned from_lowest = static_cast<unsigned>(__float2int_rd(cells - 0.5f)) + 2u;
+    reaches = reaches && from_lowest < static_cast<unsigned>(g.nodes[d]) + 2u;
+    tile[d] = static_cast<int>(from_lowest / kTileSide);
+    p.offset[d] = cells - static_cast<float>(static_cast<int>(from_lowest / kTileSide * kTileSide - 2u));
   }
   p.tile = reaches ? g.tile(tile[0], tile[1], tile[2]) : -1;
   return p;
@@ -124,15 +124,16 @@ __device__ __forceinline__ int listed_tile(const Place& place, std::int64_t p, s
 /// A piece of a tile's list.
 struct alignas(16) WorkItem {
   int first, count;  ///< slots in the list of all records
-  int4 tile;         ///< along x, y, z
+  int4 tile;         ///< along x, y, z; w: the next piece is of the next tile along z
 };
 
 /// Device memory of a binning, and what its kernels exchange. All zero or unset before the first kernel:
-/// clear() sees to counts, cursors and marks.
+/// clear() sees to sampled, counts and cursors.
 struct BinningView {
   int* counts;              ///< particles of each tile that are in no part's row of `rows`
   int* cursors;             ///< [0] records reserved, [1] work items, [2] marked tiles
-  unsigned* marks;          ///< bit t % 32 of word t / 32: a sampled particle lies in tile t
+  unsigned char* sampled;   ///< 1: a sampled particle lies in the tile
+  unsigned* marks;          ///< the same: bit t % 32 of word t / 32 is tile t
   unsigned short* below;    ///< marks in earlier words; kMostIndexed stands for all more
   int* rows;                ///< [part][indexed tile]: count, then first slot, of the part's particles there
   unsigned short* indices;  ///< of the particles' tiles; kMostIndexed: counted in `counts`, or nowhere
@@ -145,9 +146,7 @@ struct BinningView {
   int words;    ///< of marks: of all tiles, or as many as shared memory takes
   int indexed;  ///< tiles in a row at most: as many as shared memory takes
 
-  __device__ __forceinline__ bool marked(int tile) const {
-    return tile / 32 < words && (marks[tile / 32] >> (tile % 32) & 1u) != 0;
-  }
+  __device__ __forceinline__ bool marked(int tile) const { return tile / 32 < words && sampled[tile] != 0; }
 };
 
 inline constexpr int kMostIndexed = 65535;
@@ -186,9 +185,12 @@ __global__ void __launch_bounds__(Threads)
   if (p >= n) return;
   const int tile = listed_tile(locate(grid, x[3 * p], x[3 * p + 1], x[3 * p + 2]), p, n);
   if (tile < 0 || tile / 32 >= bins.words) return;
-  unsigned* word = bins.marks + tile / 32;
-  const unsigned bit = 1u << (tile % 32);
-  if ((__ldcg(word) & bit) == 0) atomicOr(word, bit);
+  bins.sampled[tile] = 1;  // whoever comes: nothing to ask for first, and no atomic
+}
+
+/// Four bytes, 0 or 1 each, as four bits: the product brings byte b to bit 24 + b.
+__device__ __forceinline__ unsigned bits_of(unsigned bytes) {
+  return bytes * 0x01020408u >> 24 & 15u;
 }
 
 /// Bytes of shared memory that count_particles() takes.
@@ -200,7 +202,7 @@ inline std::size_t count_shared_bytes(const BinningView& bins) {
 
 /// A block a part: counts its particles by tile in shared memory, into its row, and numbers the marked tiles.
 /// Particles of tiles without a place in the row are counted in `counts`.
-template <int Threads, int PerThread>
+template <int Threads>
 __global__ void __launch_bounds__(Threads)
     count_particles(const __grid_constant__ TileGrid grid, const __grid_constant__ BinningView bins,
                     const float* __restrict__ x, std::int64_t n) {
@@ -210,7 +212,13 @@ __global__ void __launch_bounds__(Threads)
   auto* below = reinterpret_cast<unsigned short*>(marks + bins.words);
   const int thread = static_cast<int>(threadIdx.x), part = static_cast<int>(blockIdx.x);
   for (int t = thread; t < bins.indexed; t += Threads) histogram[t] = 0;
-  for (int w = thread; w < bins.words; w += Threads) marks[w] = bins.marks[w];
+#pragma unroll 4
+  for (int w = thread; w < bins.words; w += Threads) {
+    const uint4* bytes = reinterpret_cast<const uint4*>(bins.sampled) + 2 * w;
+    const uint4 low = bytes[0], high = bytes[1];
+    marks[w] = bits_of(low.x) | bits_of(low.y) << 4 | bits_of(low.z) << 8 | bits_of(low.w) << 12 |
+               bits_of(high.x) << 16 | bits_of(high.y) << 20 | bits_of(high.z) << 24 | bits_of(high.w) << 28;
+  }
   __syncthreads();
   const int span = (bins.words + Threads - 1) / Threads;
   const int first_word = min(span * thread, bins.words), end_word = min(first_word + span, bins.words);
@@ -225,39 +233,44 @@ __global__ void __launch_bounds__(Threads)
 
   const std::int64_t begin = bins.part_size * part;
   const std::int64_t end = begin + bins.part_size < n ? begin + bins.part_size : n;
-  for (std::int64_t first = begin + thread; first < end; first += Threads * PerThread) {
-    float position[PerThread][3];
-#pragma unroll
-    for (int s = 0; s < PerThread; ++s) {
-      const std::int64_t p = first + s * Threads;
-#pragma unroll
-      for (int d = 0; d < 3; ++d) position[s][d] = p < end ? x[3 * p + d] : 0.0f;
+  // A thread for four particles in a row.
+  const auto index_of = [&](float px, float py, float pz, std::int64_t p) {
+    const int tile = listed_tile(locate(grid, px, py, pz), p, n);
+    int index = kMostIndexed;
+    if (tile >= 0 && tile / 32 < bins.words) {
+      const unsigned word = marks[tile / 32], bit = 1u << (tile % 32);
+      if ((word & bit) != 0) index = below[tile / 32] + __popc(word & (bit - 1u));
     }
-#pragma unroll
-    for (int s = 0; s < PerThread; ++s) {
-      const std::int64_t p = first + s * Threads;
-      if (p >= end) continue;
-      const Place place = locate(grid, position[s][0], position[s][1], position[s][2]);
-      const int tile = listed_tile(place, p, n);
-      int index = kMostIndexed;
-      if (tile >= 0 && tile / 32 < bins.words) {
-        const unsigned word = marks[tile / 32], bit = 1u << (tile % 32);
-        if ((word & bit) != 0) index = below[tile / 32] + __popc(word & (bit - 1u));
-      }
-      if (index < bins.indexed) {
-        atomicAdd(&histogram[index], 1);
-      } else {
-        index = kMostIndexed;
-        if (tile >= 0) atomicAdd(&bins.counts[tile], 1);
-      }
-      bins.indices[p] = static_cast<unsigned short>(index);
+    if (index < bins.indexed) {
+      atomicAdd(&histogram[index], 1);
+    } else {
+      index = kMostIndexed;
+      if (tile >= 0) atomicAdd(&bins.counts[tile], 1);
+    }
+    return static_cast<unsigned>(index);
+  };
+  constexpr int at_once = 4;
+  for (std::int64_t p = begin + at_once * thread; p < end; p += at_once * Threads) {
+    if (p + at_once <= end) {
+      const float4* rows = reinterpret_cast<const float4*>(x + 3 * p);
+      const float4 a = rows[0], b = rows[1], c = rows[2];
+      uint2 pairs;
+      pairs.x = index_of(a.x, a.y, a.z, p) | index_of(a.w, b.x, b.y, p + 1) << 16;
+      pairs.y = index_of(b.z, b.w, c.x, p + 2) | index_of(c.y, c.z, c.w, p + 3) << 16;
+      *reinterpret_cast<uint2*>(bins.indices + p) = pairs;
+    } else {
+      for (std::int64_t q = p; q < end; ++q)
+        bins.indices[q] = static_cast<unsigned short>(index_of(x[3 * q], x[3 * q + 1], x[3 * q + 2], q));
     }
   }
   __syncthreads();
   int* row = bins.rows + static_cast<std::size_t>(part) * static_cast<std::size_t>(bins.indexed);
   for (int t = thread; t < min(total, bins.indexed); t += Threads) row[t] = histogram[t];
   if (part != 0) return;
-  for (int w = thread; w < bins.words; w += Threads) bins.below[w] = below[w];
+  for (int w = thread; w < bins.words; w += Threads) {
+    bins.below[w] = below[w];
+    bins.marks[w] = marks[w];
+  }
   if (thread == 0) bins.cursors[2] = total;
 }
 
@@ -269,16 +282,23 @@ __global__ void __launch_bounds__(Threads)
   const int thread = static_cast<int>(threadIdx.x), part = static_cast<int>(blockIdx.x);
   const int* row = bins.rows + static_cast<std::size_t>(part) * static_cast<std::size_t>(bins.indexed);
   const int in_use = min(bins.cursors[2], bins.indexed);
+  const std::int64_t begin = bins.part_size * part;
+  const std::int64_t end = begin + bins.part_size < n ? begin + bins.part_size : n;
+  constexpr int step = kSlotsAtOnce * Threads;
+  const auto load = [&](std::int64_t p) {
+    return p + kSlotsAtOnce <= end ? __ldcs(reinterpret_cast<const uint4*>(bins.indices + p)) : uint4{};
+  };
+  uint4 ahead = load(begin + kSlotsAtOnce * thread);
+#pragma unroll 12
   for (int t = thread; t < in_use; t += Threads) next_slots[t] = row[t];
   __syncthreads();
   const auto take = [&](unsigned index) {
     return static_cast<int>(index) < bins.indexed ? atomicAdd(&next_slots[index], 1) : kNoSlot;
   };
-  const std::int64_t begin = bins.part_size * part;
-  const std::int64_t end = begin + bins.part_size < n ? begin + bins.part_size : n;
-  for (std::int64_t p = begin + kSlotsAtOnce * thread; p < end; p += kSlotsAtOnce * Threads) {
+  for (std::int64_t p = begin + kSlotsAtOnce * thread; p < end; p += step) {
     if (p + kSlotsAtOnce <= end) {
-      const uint4 pairs = __ldcs(reinterpret_cast<const uint4*>(bins.indices + p));
+      const uint4 pairs = ahead;
+      ahead = load(p + step);  // on its way while these take their slots
       int4 low, high;
       low.x = take(pairs.x & 0xffffu), low.y = take(pairs.x >> 16);
       low.z = take(pairs.y & 0xffffu), low.w = take(pairs.y >> 16);
@@ -294,7 +314,8 @@ __global__ void __launch_bounds__(Threads)
 }
 
 /// Reserves record slots for each tile, cuts its list into pieces of at most `piece`, marks the node blocks
-/// that the tiles write to, and clears those (`accumulators`: 64 float4 a block). One thread a tile.
+/// that the tiles write to, and clears those (`accumulators`: 64 float4 a block). One thread a tile: the
+/// pieces of a block's tiles follow each other as the tiles do, first along z.
 template <int Threads>
 __global__ void __launch_bounds__(Threads)
     plan_tiles(const __grid_constant__ TileGrid grid, const __grid_constant__ BinningView bins, int piece,
@@ -303,8 +324,9 @@ __global__ void __launch_bounds__(Threads)
   constexpr int warps = Threads / 32;
   __shared__ unsigned long long warp_totals[warps];
   __shared__ int reserved[2];
-  const int tile = static_cast<int>(blockIdx.x) * Threads + static_cast<int>(threadIdx.x);
-  const int lane = static_cast<int>(threadIdx.x) % 32, warp = static_cast<int>(threadIdx.x) / 32;
+  __shared__ bool filled[Threads + 1];  // the block's tiles that have particles; none beyond
+  const int thread = static_cast<int>(threadIdx.x), lane = thread % 32, warp = thread / 32;
+  const int tile = static_cast<int>(blockIdx.x) * Threads + thread;
   const int tiles = grid.tile_count();
   const int z = tile % grid.tiles[2], y = tile / grid.tiles[2] % grid.tiles[1],
             x = tile / grid.tiles[2] / grid.tiles[1];
@@ -329,6 +351,8 @@ __global__ void __launch_bounds__(Threads)
     if (lane >= step) sum += below;
   }
   if (lane == 31) warp_totals[warp] = sum;
+  filled[thread] = count > 0;
+  if (thread == 0) filled[Threads] = false;
   __syncthreads();
   unsigned long long before = 0, total = 0;
 #pragma unroll
@@ -336,7 +360,7 @@ __global__ void __launch_bounds__(Threads)
     if (w < warp) before += warp_totals[w];
     total += warp_totals[w];
   }
-  if (threadIdx.x == 0 && total != 0) {
+  if (thread == 0 && total != 0) {
     reserved[0] = atomicAdd(&bins.cursors[0], static_cast<int>(total & 0xffffffffu));
     reserved[1] = atomicAdd(&bins.cursors[1], static_cast<int>(total >> 32));
   }
@@ -365,10 +389,11 @@ __global__ void __launch_bounds__(Threads)
     }
     // Pieces of equal length within one: no block is left with a stub.
     const int length = count / pieces, longer = count % pieces;
+    const bool before_next = z + 1 < grid.tiles[2] && filled[thread + 1];
     int first = start;
     for (int s = 0; s < pieces; ++s) {
       const int n = length + (s < longer);
-      bins.items[first_item + s] = {first, n, make_int4(x, y, z, 0)};
+      bins.items[first_item + s] = {first, n, make_int4(x, y, z, s == pieces - 1 && before_next)};
       first += n;
     }
   }
@@ -377,10 +402,11 @@ __global__ void __launch_bounds__(Threads)
   if (tile < tiles) {
 #pragma unroll
     for (int s = 0; s < 8; ++s) {
-      const int bx = x - s / 4, by = y - s / 2 % 2, bz = z - s % 2;
-      if (bx < 0 || by < 0 || bz < 0) continue;
-      const int below = grid.tile(bx, by, bz);
-      touched = touched || bins.marked(below) || bins.counts[below] > 0;
+      // At the array's end one of the others again. All are asked for at once: with branches, the next tile
+      // would wait for the answer of the last.
+      const int below = grid.tile(max(x - s / 4, 0), max(y - s / 2 % 2, 0), max(z - s % 2, 0));
+      touched |= bins.marked(below);
+      touched |= bins.counts[below] > 0;
     }
     bins.touched[tile] = touched;
   }
@@ -410,8 +436,9 @@ class Binning {
         ((n + wanted - 1) / wanted + kSlotsAtOnce - 1) / kSlotsAtOnce * kSlotsAtOnce;
     const auto items = static_cast<std::size_t>(n);
 
-    zeroed_ = DeviceBuffer<int>(tiles + kCursors + words);
-    zeroed_bytes_ = (tiles + kCursors + words) * sizeof(int);
+    // 32 bytes of `sampled` for a word of marks.
+    zeroed_ = DeviceBuffer<int>(8 * words + tiles + kCursors + words);  // marks need no zeros
+    zeroed_bytes_ = (8 * words + tiles + kCursors) * sizeof(int);
     below_ = DeviceBuffer<unsigned short>(words);
     rows_ = DeviceBuffer<int>(static_cast<std::size_t>(wanted) * indexed);
     indices_ = DeviceBuffer<unsigned short>(items);
@@ -420,7 +447,8 @@ class Binning {
     touched_ = DeviceBuffer<unsigned char>(tiles);
     // Full pieces, and at most one more for each tile that has particles.
     items_ = DeviceBuffer<WorkItem>(items / static_cast<std::size_t>(piece) + std::min(items, tiles) + 1);
-    view_.counts = zeroed_.get();
+    view_.sampled = reinterpret_cast<unsigned char*>(zeroed_.get());
+    view_.counts = zeroed_.get() + 8 * words;
     view_.cursors = view_.counts + tiles;
     view_.marks = reinterpret_cast<unsigned*>(view_.cursors + kCursors);
     view_.below = below_.get();

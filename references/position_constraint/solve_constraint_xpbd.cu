@@ -8,19 +8,21 @@
 // lives beside the row entries and is advanced identically at both ends, so there are no atomics and no
 // second pass.
 //
-// Positions are held as input plus displacement: differences of inputs are exact or nearly so,
-// displacements of a centimetre keep their digits, and one addition at the end rounds.
+// Positions are held as input plus displacement: displacements of a centimetre keep their digits, and one
+// addition at the end rounds. In shared memory their sum is an integer of a unit that suits the tile, so that
+// differences are exact but for that unit (spring_projection.cuh).
 //
-// What bounds it (n = 1.05 million, m = 6.28 million, 12.56 million half-springs; counted): an
-// iteration moves 2 + 4 + 4 bytes a half-spring and 32 + 32 bytes a particle of device memory, and 43
-// MB of halos out of the L2, 0.05 ms; and shared memory needs about 21 cycles a multiprocessor for the
-// other ends of 32 half-springs (random 16-byte reads meet in 2.6 of 8 groups of banks), with
-// everything else 95 thousand cycles, 0.05 ms. NOTES.md has what was measured. Sorting moves 360 MB and
-// gathers 12.56 million numbers out of the L2 (0.1 ms).
-// What pays: halos, so that no half-spring looks beyond shared memory and 16 bits name its other end;
-// one number of state, the rest length shifted by the multiplier; rows interleaved so that a warp reads
-// 32 neighbours; a sort that writes each chunk as it is and lets the tile collect its runs (one pass over
-// the springs, no scan); whole sectors stored.
+// What bounds it (n = 1.05 million, m = 6.28 million, 12.56 million half-springs): an iteration moves
+// 2 + 4 + 4 bytes a half-spring and 32 + 16 bytes a particle of device memory, and 43 MB of halos out of
+// the L2, whose rate is the nearest limit (71 %); but a third of a block's time is the wait for the
+// particles, a fifth that for the rows, and more loads under way together, more warps with fewer registers,
+// or the next tile fetched during this one were slower: NOTES.md has what was measured. Sorting moves 360 MB
+// and gathers 12.56 million numbers out of the L2 (0.1 ms). What pays: halos, so that no half-spring looks
+// beyond shared memory and 16 bits name its other end; other ends of 16 bytes, read at random; positions and
+// displacements in arrays of their own, of which only the second is written; one number of state, the rest
+// length shifted by the multiplier; rows interleaved so that a warp reads 32 neighbours; a sort that writes
+// each chunk as it is and lets the tile collect its runs (one pass over the springs, no scan); whole sectors
+// stored.
 #include "cases/position_constraint/solve_constraint_xpbd.hpp"
 
 #include <climits>
@@ -39,7 +41,7 @@ struct Policy {
   using Tile = springs::TileShape<9, 8, 256>;
   static constexpr int project_threads = 256;
   static constexpr int project_at_once = 4;
-  static constexpr int unroll = 2;
+  static constexpr int unroll = 2, batch = 2;
   static constexpr int split_threads = 256;
   static constexpr int split_items = 4;
   static constexpr int split_blocks = 400;
@@ -49,8 +51,8 @@ struct Policy {
 #else
   using Tile = springs::TileShape<10, 2, 1600>;  // a row of 12 half-springs is six full turns of 2 threads
   static constexpr int project_threads = 512;
-  static constexpr int project_at_once = 2;  // blocks a multiprocessor, 84 KB of shared memory each
-  static constexpr int unroll = 3;
+  static constexpr int project_at_once = 2;  // blocks a multiprocessor, of 64 registers a thread
+  static constexpr int unroll = 3, batch = 4;
   static constexpr int split_threads = 1024;
   static constexpr int split_items = 8;     // 16384 half-springs sorted in 128 KB of shared memory
   static constexpr int split_blocks = 132;  // one a multiprocessor of an H200
@@ -72,27 +74,38 @@ class Reference {
     tiles_ = springs::SpringTiles<Policy>(n_, m_);
     order_ = spatial::Order(n_);
     shifted_rest_ = DeviceBuffer<float>(tiles_.places());
-    for (DeviceBuffer<springs::Particle>& p : particles_) {
-      p = DeviceBuffer<springs::Particle>(static_cast<std::size_t>(n));
+    base_ = DeviceBuffer<float4>(static_cast<std::size_t>(n));
+    for (DeviceBuffer<float4>& step : step_) step = DeviceBuffer<float4>(static_cast<std::size_t>(n));
+    frame_ = DeviceBuffer<springs::Frame>(static_cast<std::size_t>(tiles_.tiles()));
+    exact_ = DeviceBuffer<unsigned char>(static_cast<std::size_t>(tiles_.tiles()));
+    for (const auto kernel : {project<true>, project<false>}) {
+      GPUPHYS_CUDA(cudaFuncSetAttribute(kernel, cudaFuncAttributeMaxDynamicSharedMemorySize,
+                                        static_cast<int>(springs::project_bytes<Policy::Tile>())));
     }
-    GPUPHYS_CUDA(cudaFuncSetAttribute(project, cudaFuncAttributeMaxDynamicSharedMemorySize,
-                                      static_cast<int>(springs::project_bytes<Policy::Tile>())));
   }
 
   void compute(const Inputs& in, const Outputs<float>& out) {
     if (n_ == 0) return;
+    if (in.iters == 0) {
+      GPUPHYS_CUDA(cudaMemcpyAsync(out.x_new.data, in.x.data,
+                                   3 * sizeof(float) * static_cast<std::size_t>(n_),
+                                   cudaMemcpyDeviceToDevice));
+      return;
+    }
     order_.build(in.x.data, n_);
-    springs::Particle* now = particles_[0].get();
-    springs::Particle* next = particles_[1].get();
+    float4* now = step_[0].get();
+    float4* next = step_[1].get();
     tiles_.build(reinterpret_cast<const int2*>(in.springs.data), in.rest.data, in.x.data, in.inv_mass.data,
-                 order_.cell_and_place(), order_.first(), now);
+                 order_.cell_and_place(), order_.first(), {base_.get(), now});
     const float dt = in.dt;
     const float alpha = in.compliance / (dt * dt);
     const int iterations = in.iters;
     for (int k = 0; k < iterations; ++k) {
-      project<<<static_cast<unsigned>(tiles_.tiles()), Policy::project_threads,
-                springs::project_bytes<Policy::Tile>()>>>(now, next, tiles_.view(), shifted_rest_.get(), n_,
-                                                          alpha, k == 0, k == iterations - 1, k % 2 == 1);
+      const springs::Iteration iteration{base_.get(),  now,   next, shifted_rest_.get(), frame_.get(),
+                                         exact_.get(), alpha, n_,   k == iterations - 1, k % 2 == 1};
+      const auto kernel = k == 0 ? project<true> : project<false>;
+      kernel<<<static_cast<unsigned>(tiles_.tiles()), Policy::project_threads,
+               springs::project_bytes<Policy::Tile>()>>>(iteration, tiles_.view());
       std::swap(now, next);
     }
     constexpr int threads = 256;
@@ -101,14 +114,18 @@ class Reference {
   }
 
  private:
+  template <bool First>
   static constexpr auto project =
-      springs::project<Policy::Tile, Policy::project_threads, Policy::project_at_once, Policy::unroll>;
+      springs::project<Policy::Tile, Policy::project_threads, Policy::project_at_once, Policy::unroll,
+                       Policy::batch, First>;
 
   int n_ = 0, m_ = 0;
   springs::SpringTiles<Policy> tiles_;
   spatial::Order order_;
   DeviceBuffer<float> shifted_rest_;
-  DeviceBuffer<springs::Particle> particles_[2];
+  DeviceBuffer<springs::Frame> frame_;
+  DeviceBuffer<unsigned char> exact_;
+  DeviceBuffer<float4> base_, step_[2];
 };
 
 }  // namespace

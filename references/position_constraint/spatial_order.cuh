@@ -21,12 +21,6 @@ constexpr int kPlaceBytes = 3, kPlaceBits = 8 * kPlaceBytes;  // of a coordinate
 constexpr int kGridBlocks = 264;                              // two a multiprocessor of an H200
 constexpr int kGridThreads = 1024;
 
-/// Corners in an encoding whose order as unsigned integers is that of the floats; of the lowest one the
-/// complement, so that both grow from zero.
-struct Bounds {
-  std::uint32_t low_complement[3], high[3];
-};
-
 __device__ __forceinline__ std::uint32_t encode(float f) {
   const std::uint32_t bits = __float_as_uint(f);
   return bits & 0x80000000u ? ~bits : bits | 0x80000000u;
@@ -36,32 +30,48 @@ __device__ __forceinline__ float decode(std::uint32_t code) {
   return __uint_as_float(code & 0x80000000u ? code & 0x7fffffffu : ~code);
 }
 
+/// A box by its corners, in an encoding whose order as unsigned integers is that of the floats; of the lowest
+/// one the complement, so that both grow from zero.
+struct Bounds {
+  std::uint32_t extremes[6];
+
+  __device__ __forceinline__ float low(int d) const { return decode(~extremes[d]); }
+  __device__ __forceinline__ float high(int d) const { return decode(extremes[3 + d]); }
+};
+
+__device__ __forceinline__ void include(Bounds& box, float x, float y, float z) {
+  const float place[3] = {x, y, z};
+#pragma unroll
+  for (int d = 0; d < 3; ++d) {
+    const std::uint32_t code = encode(place[d]);
+    box.extremes[d] = max(box.extremes[d], ~code);
+    box.extremes[3 + d] = max(box.extremes[3 + d], code);
+  }
+}
+
+/// Widens a box in shared memory by those of all threads of the warp.
+__device__ __forceinline__ void include(Bounds& shared, const Bounds& own) {
+#pragma unroll
+  for (int k = 0; k < 6; ++k) {
+    const std::uint32_t most = __reduce_max_sync(0xffffffffu, own.extremes[k]);
+    if (threadIdx.x % 32 == 0) atomicMax(shared.extremes + k, most);
+  }
+}
+
 /// Widens `bounds` (zero before) to hold all particles.
 __global__ void __launch_bounds__(kGridThreads)
     find_bounds(const float* __restrict__ x, int n, Bounds* __restrict__ bounds) {
-  __shared__ std::uint32_t block_bounds[6];
-  if (threadIdx.x < 6) block_bounds[threadIdx.x] = 0;
+  __shared__ Bounds box;
+  if (threadIdx.x == 0) box = {};
   __syncthreads();
-  std::uint32_t most[6] = {0, 0, 0, 0, 0, 0};
+  Bounds most{};
   const int stride = static_cast<int>(gridDim.x * blockDim.x);
 #pragma unroll 4
-  for (int i = static_cast<int>(blockIdx.x * blockDim.x + threadIdx.x); i < n; i += stride) {
-#pragma unroll
-    for (int d = 0; d < 3; ++d) {
-      const std::uint32_t code = encode(x[3 * i + d]);
-      most[d] = max(most[d], ~code);
-      most[3 + d] = max(most[3 + d], code);
-    }
-  }
-#pragma unroll
-  for (int k = 0; k < 6; ++k) {
-    most[k] = __reduce_max_sync(0xffffffffu, most[k]);
-    if (threadIdx.x % 32 == 0) atomicMax(block_bounds + k, most[k]);
-  }
+  for (int i = static_cast<int>(blockIdx.x * blockDim.x + threadIdx.x); i < n; i += stride)
+    include(most, x[3 * i], x[3 * i + 1], x[3 * i + 2]);
+  include(box, most);
   __syncthreads();
-  if (threadIdx.x < 3) atomicMax(bounds->low_complement + threadIdx.x, block_bounds[threadIdx.x]);
-  if (threadIdx.x >= 3 && threadIdx.x < 6)
-    atomicMax(bounds->high + threadIdx.x - 3, block_bounds[threadIdx.x]);
+  if (threadIdx.x < 6) atomicMax(bounds->extremes + threadIdx.x, box.extremes[threadIdx.x]);
 }
 
 /// Cell of every particle and its place among the particles of the cell; `count` (kCells, zero before) has
@@ -81,8 +91,8 @@ __global__ void __launch_bounds__(kGridThreads)
     int halved[3] = {0, 0, 0};
 #pragma unroll
     for (int d = 0; d < 3; ++d) {
-      low[d] = decode(~bounds->low_complement[d]);
-      extent[d] = decode(bounds->high[d]) - low[d];
+      low[d] = bounds->low(d);
+      extent[d] = bounds->high(d) - low[d];
       scale[d] = extent[d] > 0.0f ? (1 << kPlaceBits) / extent[d] : 0.0f;
     }
     for (int s = 0; s < kHalvings; ++s) {
@@ -129,28 +139,32 @@ class Order {
  public:
   Order() = default;
   explicit Order(int n)
-      : bounds_(1),
-        first_(static_cast<std::size_t>(kCells)),
+      : cleared_(1),
         cell_and_place_(static_cast<std::size_t>(n)),
         scratch_bytes_(primitives::exclusive_sum_bytes(kCells)),
         scratch_(scratch_bytes_) {}
 
   void build(const float* x, int n) const {
-    GPUPHYS_CUDA(cudaMemsetAsync(bounds_.get(), 0, sizeof(Bounds)));
-    GPUPHYS_CUDA(cudaMemsetAsync(first_.get(), 0, sizeof(std::int32_t) * static_cast<std::size_t>(kCells)));
+    GPUPHYS_CUDA(cudaMemsetAsync(cleared_.get(), 0, sizeof(Cleared)));
     const int blocks = (n + kGridThreads - 1) / kGridThreads;
     const auto grid = static_cast<unsigned>(blocks < kGridBlocks ? blocks : kGridBlocks);
-    find_bounds<<<grid, kGridThreads>>>(x, n, bounds_.get());
-    find_cells<<<grid, kGridThreads>>>(x, n, bounds_.get(), first_.get(), cell_and_place_.get());
-    primitives::exclusive_sum(scratch_.get(), scratch_bytes_, first_.get(), first_.get(), kCells);
+    Bounds* const bounds = &cleared_.get()->bounds;
+    std::int32_t* const first = cleared_.get()->first;
+    find_bounds<<<grid, kGridThreads>>>(x, n, bounds);
+    find_cells<<<grid, kGridThreads>>>(x, n, bounds, first, cell_and_place_.get());
+    primitives::exclusive_sum(scratch_.get(), scratch_bytes_, first, first, kCells);
   }
 
-  const std::int32_t* first() const { return first_.get(); }            ///< (kCells)
+  const std::int32_t* first() const { return cleared_.get()->first; }   ///< (kCells)
   const int2* cell_and_place() const { return cell_and_place_.get(); }  ///< (n)
 
  private:
-  DeviceBuffer<Bounds> bounds_;
-  DeviceBuffer<std::int32_t> first_;
+  struct Cleared {  // zero before a build, by one memset
+    std::int32_t first[kCells];
+    Bounds bounds;
+  };
+
+  DeviceBuffer<Cleared> cleared_;
   DeviceBuffer<int2> cell_and_place_;
   std::size_t scratch_bytes_ = 0;
   DeviceBuffer<unsigned char> scratch_;

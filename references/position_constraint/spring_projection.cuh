@@ -7,10 +7,17 @@
 //
 // The multiplier enters the constraint only together with the rest length, as -(|d| - (rest - alpha lambda)):
 // what is kept of a spring is this shifted rest length, one number to read and one to write.
+//
+// In shared memory a particle takes 16 bytes (Held): integers instead of position and displacement apart, in
+// a unit that suits the tile. A spring's end costs one random read of 16 bytes instead of two, which bound
+// the iteration before. What integers do not resolve, springs short against the tile, is looked up in device
+// memory, spring by spring: slower, and as exact as position and displacement are.
 #pragma once
 
 #include <cstdint>
 
+#include "references/common/approximate.cuh"
+#include "references/position_constraint/spatial_order.cuh"
 #include "references/position_constraint/spring_tiles.cuh"
 
 namespace gpuphys::springs {
@@ -19,90 +26,150 @@ namespace gpuphys::springs {
 /// subnormal numbers.
 constexpr float kLeastSquare = 1.17549435e-38f;
 
-/// 1/a and 1/sqrt(a) of normal numbers, each within about one unit in the last place; without the branches
-/// that the library spends on subnormal ones.
-__device__ __forceinline__ float reciprocal(float a) {
-  float result;
-  asm("rcp.approx.ftz.f32 %0, %1;" : "=f"(result) : "f"(a));
-  return result;
-}
-__device__ __forceinline__ float reciprocal_root(float a) {
-  float result;
-  asm("rsqrt.approx.ftz.f32 %0, %1;" : "=f"(result) : "f"(a));
-  return result;
-}
-
 /// Change of a spring's multiplier in one iteration, before averaging (XPBD equation 18).
 /// `shifted_rest` is rest - alpha lambda.
 __device__ __forceinline__ float multiplier_step(float length, float shifted_rest, float alpha,
                                                  float inv_mass_sum, float valence) {
-  return -(length - shifted_rest) * reciprocal((inv_mass_sum + alpha) * valence);
+  return -(length - shifted_rest) * approximate_inverse((inv_mass_sum + alpha) * valence);
 }
 
 /// Square root and its reciprocal of a positive normal number, each within about one unit in the last place.
 __device__ __forceinline__ void length_of(float square, float& length, float& inverse) {
-  inverse = reciprocal_root(square);
+  inverse = approximate_rsqrt(square);
   length = square * inverse;
   length += 0.5f * inverse * (square - length * length);  // one Newton step
 }
 
-/// x + displacement, rounded once, back in input order. Random reads of whole sectors cost less than random
-/// writes of three floats.
-__global__ void write_positions(const Particle* __restrict__ particles,
-                                const std::int32_t* __restrict__ number, int n, float* __restrict__ x) {
+/// Positions back in input order. Random reads cost less than random writes of three floats.
+__global__ void write_positions(const float4* __restrict__ positions, const std::int32_t* __restrict__ number,
+                                int n, float* __restrict__ x) {
   const int q = static_cast<int>(blockIdx.x * blockDim.x + threadIdx.x);
   if (q >= n) return;
-  const Particle p = particles[number[q]];
-  x[3 * q] = p.base.x + p.step.x;
-  x[3 * q + 1] = p.base.y + p.step.y;
-  x[3 * q + 2] = p.base.z + p.step.z;
+  const float4 p = positions[number[q]];
+  x[3 * q] = p.x;
+  x[3 * q + 1] = p.y;
+  x[3 * q + 2] = p.z;
 }
 
-/// Shared memory of project, bytes. The displacements begin in other banks than the positions.
+/// Integer coordinates for a tile: of a unit so small that the tile's particles, and others up to the tile's
+/// extent away from it, take a range of 2 kRange units.
+struct __align__(16) Frame {
+  static constexpr float kRange = 0.75f * (1 << 28);
+  float centre[3];  ///< of the tile's bounding box, m
+  float per_metre;  ///< units a metre, a power of two
+
+  __device__ static Frame around(const spatial::Bounds& box) {
+    Frame f;
+    float extent = 1e-20f;
+    for (int d = 0; d < 3; ++d) {
+      const float low = box.low(d), high = box.high(d);
+      f.centre[d] = 0.5f * low + 0.5f * high;
+      // A unit far below the last place of the coordinates is of no use, and their integers would overflow.
+      extent = fmaxf(fmaxf(extent, high - low), 0x1p-23f * fmaxf(fabsf(low), fabsf(high)));
+    }
+    f.per_metre = __int_as_float(__float_as_int(kRange / extent) & 0x7f800000);
+    return f;
+  }
+};
+
+/// A particle in shared memory: coordinates as integers, modulo 2^30, of the frame's unit, shifted left by
+/// two, and below each two bits of the valence. Differences are exact: only the rounding to the unit is left,
+/// wherever the tile lies. Displacements keep their own digits in device memory.
+struct __align__(16) Held {
+  int x, y, z;
+  float inv_mass;  ///< 1/kg
+
+  /// Instead of the valence: to be looked up in device memory, as are the coordinates.
+  static constexpr int kLookUp = 63;
+  static constexpr float kUnits = 4.0f;  ///< of difference(), in one of the frame
+  /// Squares of shorter differences are looked up too: that of 2^21 units of the frame. The rounding of both
+  /// ends changes longer ones by 2^-21 of themselves at most, and most of them by much less.
+  static constexpr float kLeastSquare = 0x1p46f;
+
+  __device__ __forceinline__ int valence() const {
+    return (x & 3) | (y << 2 & 12) | (z << 4 & 48);
+  }
+};
+
+/// a - b, in quarters of the frame's unit; that of exchanged particles is the same with the other sign.
+__device__ __forceinline__ float3 difference(const Held& a, const Held& b) {
+  return {static_cast<float>(((a.x | 3) - b.x) & ~3), static_cast<float>(((a.y | 3) - b.y) & ~3),
+          static_cast<float>(((a.z | 3) - b.z) & ~3)};
+}
+
+/// Makes particles as they are held of those in device memory.
+class Holder {
+ public:
+  __device__ __forceinline__ explicit Holder(const Frame& frame)
+      : per_metre_(frame.per_metre), most_(Frame::kRange / frame.per_metre) {
+    for (int d = 0; d < 3; ++d) centre_[d] = frame.centre[d];
+  }
+  __device__ __forceinline__ Held operator()(const float4& base, const float4& step) const {
+    const float place[3] = {base.x, base.y, base.z}, moved[3] = {step.x, step.y, step.z};
+    float furthest = 0.0f;
+    int at[3];
+#pragma unroll
+    for (int d = 0; d < 3; ++d) {
+      // Of the differences that 30 bits hold, the frame takes three quarters and two displacements an eighth.
+      furthest = fmaxf(fmaxf(furthest, fabsf(place[d] - centre_[d])), 6.0f * fabsf(moved[d]));
+      // Modulo 2^32; the products are exact.
+      at[d] = static_cast<int>(__float2ll_rn(place[d] * per_metre_)) + __float2int_rn(moved[d] * per_metre_);
+    }
+    int code = min(__float_as_int(step.w), Held::kLookUp);
+    if (!(furthest <= most_)) code = Held::kLookUp;
+    return {at[0] << 2 | (code & 3), at[1] << 2 | (code >> 2 & 3), at[2] << 2 | code >> 4, base.w};
+  }
+
+ private:
+  float per_metre_, most_, centre_[3];
+};
+
+/// Shared memory of project, bytes: particles and two that are none, displacements of the tile's own, and
+/// where slices begin.
 template <class Shape>
 constexpr std::size_t project_bytes() {
-  return sizeof(float4) * (2 * Shape::kHeld + 4) + sizeof(int) * Shape::kSlices;
+  return sizeof(Held) * (Shape::kHeld + 2) + sizeof(float4) * Shape::kParticles +
+         sizeof(int) * Shape::kSlices;
 }
 
-/// One Jacobi iteration, a block a tile: particles of the tile and its halo come to shared memory, then a
-/// warp a slice goes through its rows, `Unroll` half-springs a thread at a time. `shifted` has the shifted
-/// rest lengths, from the second iteration on.
-///
-/// `backward`: the blocks go through the tiles from the end. Iterations take turns, so that each begins with
-/// what the L2 still holds of the one before.
-template <class Shape, int Threads, int BlocksAtOnce, int Unroll>
-__global__ void __launch_bounds__(Threads, BlocksAtOnce)
-    project(const Particle* __restrict__ now, Particle* __restrict__ next, const Tiles springs,
-            float* __restrict__ shifted, int n, float alpha, bool first, bool last, bool backward) {
-  constexpr unsigned all = 0xffffffffu;
-  constexpr int lanes = Shape::kLanes, rows = Shape::kRows;
-  extern __shared__ int4 pool[];
-  float4* const base = reinterpret_cast<float4*>(pool);
-  float4* const step = base + Shape::kHeld + 4;
-  int* const slice = reinterpret_cast<int*>(step + Shape::kHeld);
-  const int tid = static_cast<int>(threadIdx.x);
-  const int tile = static_cast<int>(backward ? gridDim.x - 1 - blockIdx.x : blockIdx.x);
-  const int low = tile << Shape::kShift, particles = min(Shape::kParticles, n - low);
-  const float4* const part = reinterpret_cast<const float4*>(now);
-#pragma unroll 4
-  for (int k = tid; k < 2 * particles; k += Threads) (k & 1 ? step : base)[k / 2] = part[2 * low + k];
-  for (int k = tid; k < Shape::kSlices; k += Threads) slice[k] = springs.slice[tile * Shape::kSlices + k];
-  // Two threads fetch a particle of the halo, a whole sector in one access.
-  const int outside = springs.halo_count[tile];
-  const std::int32_t* const halo = springs.halo + tile * Shape::kHalo;
-#pragma unroll 4
-  for (int k = tid; k < 2 * outside; k += Threads)
-    (k & 1 ? step : base)[Shape::kParticles + k / 2] = part[2 * halo[k / 2] + (k & 1)];
-  __syncthreads();
+/// What an iteration works on.
+struct Iteration {
+  const float4* base;    ///< (n): of Particles
+  const float4* now;     ///< (n): `step` of Particles
+  float4* next;          ///< (n): the same an iteration later; positions, m, in the last iteration
+  float* shifted;        ///< (places): shifted rest lengths, from the second iteration on
+  Frame* frame;          ///< (tiles): from the second iteration on
+  unsigned char* exact;  ///< (tiles): whether springs of the tile had to be looked up in the first iteration
+  float alpha;
+  int n;
+  bool last;
+  bool backward;  ///< blocks go through the tiles from the end
+};
 
-  const float* const from = first ? springs.rest : shifted;
-  const int lane = tid % 32, row_lane = lane % lanes;
+/// The rows of the tile that begins with particle `low`: a warp a slice, `Unroll` half-springs a thread at a
+/// time. `held` (shared) has the tile, its halo, and behind them one particle to look up and one that is
+/// none, `steps` (shared) the tile's displacements so far; `metre` is what a difference of 1 is, m. With
+/// `LookUp`, takes from device memory what `held` has not or does not resolve, and returns whether there was
+/// any.
+template <class Shape, int Threads, int Unroll, bool First, bool LookUp>
+__device__ __forceinline__ bool project_rows(const Held* held, const float4* steps, const int* slice,
+                                             const Tiles& springs, const Iteration& iteration, float metre,
+                                             int low, int particles) {
+  constexpr unsigned all = 0xffffffffu;
+  constexpr int lanes = Shape::kLanes, rows = Shape::kRows, far = Shape::kHeld, none = Shape::kHeld + 1;
+  float* const shifted = iteration.shifted;
+  const float* const from = First ? springs.rest : shifted;
+  const float alpha = iteration.alpha;
+  const bool last = iteration.last;
+  bool looked_up = false;
+  const int tid = static_cast<int>(threadIdx.x), lane = tid % 32, row_lane = lane % lanes;
   for (int s = tid / 32; s * rows < particles; s += Threads / 32) {
     const int own = s * rows + lane / lanes;
     const bool live = own < particles;
     const int me = live ? own : s * rows;
-    const float4 own_base = base[me], own_step = step[me];
-    const int own_valence = __float_as_int(own_step.w);
+    const Held self = held[me];
+    int own_valence = self.valence();
+    if (LookUp && own_valence == Held::kLookUp) own_valence = __float_as_int(steps[me].w);
     const int length_of_row = live ? own_valence : 0;
     const int longest = static_cast<int>(__reduce_max_sync(all, static_cast<unsigned>(length_of_row)));
     const int code = slice[s];
@@ -124,51 +191,65 @@ __global__ void __launch_bounds__(Threads, BlocksAtOnce)
 #pragma unroll
       for (int u = 0; u < Unroll; ++u) {
         const int at = place + u * pitch;
-        other[u] = me;  // past the end of the row: a particle's spring to itself, which does nothing
+        other[u] = LookUp ? none : me;  // past the end of the row
         shifted_rest[u] = 0.0f;
         if (k0 + u * lanes < length_of_row) {
           other[u] = __ldcs(springs.local + at);
+          if (LookUp) other[u] = min(other[u], far);
           shifted_rest[u] = from[at];
         }
       }
-      float4 other_base[Unroll], other_step[Unroll];
-      bool far = false;
+      float3 d[Unroll];
+      float inv_mass[Unroll], unit[Unroll];
+      int valence[Unroll];
+      bool look_up = LookUp && self.valence() == Held::kLookUp;
 #pragma unroll
       for (int u = 0; u < Unroll; ++u) {
-        const bool away = other[u] == kFar;
-        const int held = away ? me : other[u];
-        other_base[u] = base[held];
-        other_step[u] = step[held];
-        far |= away;
+        const Held end = held[other[u]];
+        d[u] = difference(self, end);
+        inv_mass[u] = end.inv_mass;
+        valence[u] = end.valence();
+        unit[u] = metre;
+        if (LookUp)
+          look_up = look_up || valence[u] == Held::kLookUp ||
+                    d[u].x * d[u].x + d[u].y * d[u].y + d[u].z * d[u].z < Held::kLeastSquare;
       }
-      if (far) {
+      if (LookUp && look_up) {
 #pragma unroll
         for (int u = 0; u < Unroll; ++u) {
-          if (other[u] != kFar) continue;
-          const int particle = springs.far[place + u * pitch];
-          other_base[u] = part[2 * particle];
-          other_step[u] = part[2 * particle + 1];
+          if (k0 + u * lanes >= length_of_row) continue;
+          looked_up = true;
+          const int particle =
+              other[u] == far ? springs.far[place + u * pitch]
+              : other[u] < Shape::kParticles
+                  ? low + other[u]
+                  : springs.halo[(low >> Shape::kShift) * Shape::kHalo + other[u] - Shape::kParticles];
+          const float4 base = iteration.base[low + me], other_base = iteration.base[particle];
+          const float4 other_step = iteration.now[particle], before = steps[me];
+          d[u] = {(base.x - other_base.x) + (before.x - other_step.x),
+                  (base.y - other_base.y) + (before.y - other_step.y),
+                  (base.z - other_base.z) + (before.z - other_step.z)};
+          inv_mass[u] = other_base.w;
+          valence[u] = __float_as_int(other_step.w);
+          unit[u] = 1.0f;
         }
       }
 #pragma unroll
       for (int u = 0; u < Unroll; ++u) {
-        const float dx = (own_base.x - other_base[u].x) + (own_step.x - other_step[u].x);
-        const float dy = (own_base.y - other_base[u].y) + (own_step.y - other_step[u].y);
-        const float dz = (own_base.z - other_base[u].z) + (own_step.z - other_step[u].z);
-        const float square = dx * dx + dy * dy + dz * dz;
-        const float inv_mass_sum = own_base.w + other_base[u].w;
+        const float square = d[u].x * d[u].x + d[u].y * d[u].y + d[u].z * d[u].z;
+        const float inv_mass_sum = self.inv_mass + inv_mass[u];
         float length, inverse;
         length_of(square, length, inverse);
-        const auto valence = static_cast<float>(max(own_valence, __float_as_int(other_step[u].w)));
-        float change = multiplier_step(length, shifted_rest[u], alpha, inv_mass_sum, valence);
-        float per_metre = change * inverse;
+        float change = multiplier_step(length * unit[u], shifted_rest[u], alpha, inv_mass_sum,
+                                       static_cast<float>(max(own_valence, valence[u])));
+        float per_unit = change * inverse;
         // Whatever came out for coincident or pinned ends is dropped here: cheaper than a branch.
         const bool acts = square >= kLeastSquare && inv_mass_sum > 0.0f;
         change = acts ? change : 0.0f;
-        per_metre = acts ? per_metre : 0.0f;
-        sum.x += per_metre * dx;
-        sum.y += per_metre * dy;
-        sum.z += per_metre * dz;
+        per_unit = acts ? per_unit : 0.0f;
+        sum.x += per_unit * d[u].x;
+        sum.y += per_unit * d[u].y;
+        sum.z += per_unit * d[u].z;
         if (!last && k0 + u * lanes < length_of_row)
           shifted[place + u * pitch] = shifted_rest[u] - alpha * change;
       }
@@ -179,13 +260,119 @@ __global__ void __launch_bounds__(Threads, BlocksAtOnce)
       sum.y += __shfl_xor_sync(all, sum.y, d);
       sum.z += __shfl_xor_sync(all, sum.z, d);
     }
-    if (!live || row_lane > 1) continue;
-    // Two threads write the particle's whole sector: the base too, or the L2 would have to read it first.
-    const bool odd = row_lane == 1;
-    const float4 self = odd ? own_step : own_base;
-    const float w = odd ? own_base.w : 0.0f;
-    reinterpret_cast<float4*>(next)[2 * (low + own) + (odd ? 1 : 0)] =
-        make_float4(self.x + w * sum.x, self.y + w * sum.y, self.z + w * sum.z, self.w);
+    if (!live || row_lane > 0) continue;
+    const float4 before = steps[me];
+    float4 after = make_float4(before.x + self.inv_mass * sum.x, before.y + self.inv_mass * sum.y,
+                               before.z + self.inv_mass * sum.z, before.w);
+    if (last) {
+      const float4 base = iteration.base[low + me];
+      after = make_float4(base.x + after.x, base.y + after.y, base.z + after.z, 0.0f);
+    }
+    iteration.next[low + me] = after;
+  }
+  return looked_up;
+}
+
+/// One Jacobi iteration, a block a tile: the tile's particles and its halo come to shared memory, `Batch`
+/// loads of a thread under way together; more are slower. The first iteration (`First`) chooses the tile's
+/// frame and finds out whether later ones need look anything up.
+///
+/// Iterations take turns in going backward, so that each begins with what the L2 still holds of the one
+/// before.
+template <class Shape, int Threads, int BlocksAtOnce, int Unroll, int Batch, bool First>
+__global__ void __launch_bounds__(Threads, BlocksAtOnce)
+    project(const __grid_constant__ Iteration iteration, const __grid_constant__ Tiles springs) {
+  static_assert(Threads % 32 == 0);
+  extern __shared__ int4 pool[];
+  Held* const held = reinterpret_cast<Held*>(pool);
+  float4* const steps = reinterpret_cast<float4*>(held + Shape::kHeld + 2);
+  int* const slice = reinterpret_cast<int*>(steps + Shape::kParticles);
+  const int tid = static_cast<int>(threadIdx.x);
+  const int tile = static_cast<int>(iteration.backward ? gridDim.x - 1 - blockIdx.x : blockIdx.x);
+  const int low = tile << Shape::kShift, particles = min(Shape::kParticles, iteration.n - low);
+  // `Batch` particles of a thread are under way together.
+  constexpr int own_turns = (Shape::kParticles + Threads - 1) / Threads;
+  constexpr int halo_turns = (Shape::kHalo + Threads - 1) / Threads;
+  int outside_at[halo_turns];
+#pragma unroll
+  for (int j = 0; j < halo_turns; ++j)
+    outside_at[j] = springs.halo[tile * Shape::kHalo + min(tid + j * Threads, Shape::kHalo - 1)];
+  const int outside = springs.halo_count[tile];
+  Frame frame;
+  if constexpr (First) {
+    __shared__ spatial::Bounds box;
+    if (tid == 0) box = {};
+    spatial::Bounds most{};
+#pragma unroll
+    for (int j = 0; j < own_turns; ++j) {
+      const float4 p = iteration.base[low + min(tid + j * Threads, particles - 1)];
+      spatial::include(most, p.x, p.y, p.z);
+    }
+    __syncthreads();
+    spatial::include(box, most);
+    __syncthreads();
+    frame = Frame::around(box);
+    if (tid == 0) iteration.frame[tile] = frame;
+  } else {
+    frame = iteration.frame[tile];
+  }
+  bool look_up = First || iteration.exact[tile] != 0;
+  for (int k = tid; k < Shape::kSlices; k += Threads) slice[k] = springs.slice[tile * Shape::kSlices + k];
+  if (tid == 0) {
+    held[Shape::kHeld] = {3, 3, 3, 0.0f};  // kLookUp
+    held[Shape::kHeld + 1] = {0, 0, 0, -__int_as_float(0x7f800000)};
+  }
+  const Holder hold(frame);
+#pragma unroll
+  for (int j0 = 0; j0 < own_turns; j0 += Batch) {
+    float4 base[Batch], step[Batch];
+#pragma unroll
+    for (int j = 0; j < Batch && j0 + j < own_turns; ++j) {
+      const int at = low + min(tid + (j0 + j) * Threads, particles - 1);
+      base[j] = iteration.base[at];
+      step[j] = iteration.now[at];
+    }
+#pragma unroll
+    for (int j = 0; j < Batch && j0 + j < own_turns; ++j) {
+      const int k = tid + (j0 + j) * Threads;
+      const Held p = hold(base[j], step[j]);
+      if (k >= particles) continue;
+      look_up = look_up || p.valence() == Held::kLookUp;
+      held[k] = p;
+      steps[k] = step[j];
+    }
+  }
+#pragma unroll
+  for (int j0 = 0; j0 < halo_turns; j0 += Batch) {
+    if (j0 * Threads >= outside) break;
+    float4 base[Batch], step[Batch];
+#pragma unroll
+    for (int j = 0; j < Batch && j0 + j < halo_turns; ++j) {
+      base[j] = iteration.base[outside_at[j0 + j]];
+      step[j] = iteration.now[outside_at[j0 + j]];
+    }
+#pragma unroll
+    for (int j = 0; j < Batch && j0 + j < halo_turns; ++j) {
+      const int k = tid + (j0 + j) * Threads;
+      const Held p = hold(base[j], step[j]);
+      if (k >= outside) continue;
+      look_up = look_up || p.valence() == Held::kLookUp;
+      held[Shape::kParticles + k] = p;
+    }
+  }
+  look_up = __syncthreads_or(look_up) != 0;
+  const float metre = 1.0f / (Held::kUnits * frame.per_metre);
+  if constexpr (First) {
+    const bool looked_up = project_rows<Shape, Threads, Unroll, First, true>(
+        held, steps, slice, springs, iteration, metre, low, particles);
+    const bool any = __syncthreads_or(looked_up) != 0;
+    if (tid == 0) iteration.exact[tile] = any ? 1 : 0;
+  } else if (look_up) {
+    project_rows<Shape, Threads, Unroll, First, true>(held, steps, slice, springs, iteration, metre, low,
+                                                      particles);
+  } else {
+    project_rows<Shape, Threads, Unroll, First, false>(held, steps, slice, springs, iteration, metre, low,
+                                                       particles);
   }
 }
 

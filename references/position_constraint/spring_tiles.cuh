@@ -26,14 +26,23 @@
 #include <cstdint>
 #include <stdexcept>
 
+#include "references/common/block_sum.cuh"
 #include "references/common/device_buffer.cuh"
 
 namespace gpuphys::springs {
 
-/// One particle: 32 bytes, one sector, so that a random gather moves nothing else.
-struct __align__(16) Particle {
-  float4 base;  ///< position before the solve, m, and inverse mass, 1/kg
-  float4 step;  ///< displacement so far, m, and the bits of an integer, the number of half-springs
+/// The thread's lane, read anew: derived from threadIdx.x it would take a register of loops that have none to
+/// spare.
+__device__ __forceinline__ int read_lane() {
+  int lane;
+  asm volatile("mov.u32 %0, %%laneid;" : "=r"(lane));
+  return lane;
+}
+
+/// Particles in two arrays: an iteration writes displacements only, and neighbours share sectors.
+struct Particles {
+  float4* base;  ///< (n): position before the solve, m, and inverse mass, 1/kg
+  float4* step;  ///< (n): displacement so far, m, and the bits of an integer, the number of half-springs
 };
 
 constexpr int kMaxTiles = 1 << 14;      // counters of split_by_tile take 64 KB of shared memory
@@ -81,32 +90,18 @@ struct __align__(16) WideRecord {
   }
 };
 
-/// Sum of `value` over the threads of the block before this one. All threads call it; `warp_sum` (32) is
-/// shared, and must not be in use: a barrier lies between two calls.
-template <int Threads>
-__device__ __forceinline__ int sum_before(int value, int* warp_sum) {
-  const int lane = static_cast<int>(threadIdx.x) % 32, warp = static_cast<int>(threadIdx.x) / 32;
-  int inclusive = value;
-#pragma unroll
-  for (int d = 1; d < 32; d *= 2) {
-    const int below = __shfl_up_sync(0xffffffffu, inclusive, d);
-    if (lane >= d) inclusive += below;
-  }
-  if (lane == 31) warp_sum[warp] = inclusive;
-  __syncthreads();
-  int before = inclusive - value;
-#pragma unroll
-  for (int w = 0; w < Threads / 32; ++w) before += w < warp ? warp_sum[w] : 0;
-  return before;
-}
-
-/// Lays down the particles at rest in their new order, two threads a particle, which write its sector whole;
-/// number[i] becomes the new number of particle i.
+/// Lays down the particles in their new order, each followed by zeros to fill a sector: random writes of half
+/// a sector take 51 us instead of 31, as the L2 reads such a sector first. Two threads a particle; number[i]
+/// becomes the new number of particle i. Clears what the build of the tiles begins with: `used`, and `halo`,
+/// of which a tile's unused part then names some particle, which may be fetched for nothing.
 __global__ void place_particles(const float* __restrict__ x, const float* __restrict__ inv_mass,
                                 const int2* __restrict__ cell_and_place,
                                 const std::int32_t* __restrict__ first, int n,
-                                std::int32_t* __restrict__ number, Particle* __restrict__ placed) {
+                                std::int32_t* __restrict__ number, float4* __restrict__ placed,
+                                std::int32_t* __restrict__ halo, int halo_size, int* used) {
   const int t = static_cast<int>(blockIdx.x * blockDim.x + threadIdx.x), i = t / 2;
+  if (t == 0) *used = 0;
+  for (int k = t; k < halo_size; k += static_cast<int>(gridDim.x * blockDim.x)) halo[k] = 0;
   if (i >= n) return;
   const int2 where = cell_and_place[i];
   const int to = first[where.x] + where.y;
@@ -115,7 +110,7 @@ __global__ void place_particles(const float* __restrict__ x, const float* __rest
     number[i] = to;
     part = make_float4(x[3 * i], x[3 * i + 1], x[3 * i + 2], inv_mass[i]);
   }
-  reinterpret_cast<float4*>(placed)[2 * to + t % 2] = part;
+  placed[2 * to + t % 2] = part;
 }
 
 /// The springs j0 + u * Threads + threadIdx.x below m; behind them springs from particle 0 to itself.
@@ -206,40 +201,43 @@ __global__ void __launch_bounds__(Threads)
 }
 
 /// Calls `use` with every record of a tile, a record a call, in all threads of the block together. `run` (as
-/// many as threads) is shared.
-template <class Record, int Threads, class Use>
+/// many as threads) is shared. `Again`: the block has done this before, and left `run` as it was.
+template <class Record, int Threads, bool Again, class Use>
 __device__ __forceinline__ void for_each_record(const Record* __restrict__ split,
                                                 const std::uint16_t* __restrict__ table, int chunks, int room,
                                                 int tiles, int tile, std::uint32_t* run, Use&& use) {
   // Runs have 16 records in the mean: 8 lanes go idle less than 16 would, and three parts hold most runs.
   constexpr int lanes = 8, groups = Threads / lanes, parts = 3;
-  const int tid = static_cast<int>(threadIdx.x), lane = tid % lanes;
+  const int tid = static_cast<int>(threadIdx.x);
+  const int lane = read_lane() % lanes;
   for (int c0 = 0; c0 < chunks; c0 += Threads) {
     __syncthreads();
-    std::uint32_t begin_and_length = 0;
-    if (c0 + tid < chunks) {
-      const std::uint16_t* const begins =
-          table + static_cast<std::size_t>(c0 + tid) * static_cast<std::size_t>(tiles + 1) + tile;
-      const std::uint32_t begin = begins[0], end = begins[1];
-      begin_and_length = begin << 16 | (end - begin);
+    if (!Again || chunks > Threads) {
+      std::uint32_t begin_and_length = 0;
+      if (c0 + tid < chunks) {
+        const std::uint16_t* const begins =
+            table + static_cast<std::size_t>(c0 + tid) * static_cast<std::size_t>(tiles + 1) + tile;
+        const std::uint32_t begin = begins[0], end = begins[1];
+        begin_and_length = begin << 16 | (end - begin);
+      }
+      run[tid] = begin_and_length;
+      __syncthreads();
     }
-    run[tid] = begin_and_length;
-    __syncthreads();
     const int here = min(Threads, chunks - c0);
     for (int r = tid / lanes; r < here; r += groups) {
       const std::uint32_t code = run[r];
       const int length = static_cast<int>(code & 0xffffu);
-      const Record* const from = split + ((c0 + r) * room + static_cast<int>(code >> 16));
+      const Record* const from = split + ((c0 + r) * room + static_cast<int>(code >> 16) + lane);
       Record record[parts];
 #pragma unroll
       for (int part = 0; part < parts; ++part) {
-        if (lane + part * lanes < length) record[part] = from[lane + part * lanes];
+        if (lane + part * lanes < length) record[part] = from[part * lanes];
       }
 #pragma unroll
       for (int part = 0; part < parts; ++part) {
         if (lane + part * lanes < length) use(record[part]);
       }
-      for (int k = lane + parts * lanes; k < length; k += lanes) use(from[k]);
+      for (int k = parts * lanes; lane + k < length; k += lanes) use(from[k]);
     }
   }
 }
@@ -317,15 +315,20 @@ constexpr std::size_t build_bytes(int capacity, int threads) {
          sizeof(std::uint32_t) * static_cast<std::size_t>(threads);
 }
 
-/// Pass 2: block t builds tile t, in shared memory if it has up to `Capacity` places, and tells its particles
-/// the number of their half-springs. `used` (zero before) counts places given out.
+/// Pass 2: block t builds tile t, in shared memory if it has up to `Capacity` places, and lays down its
+/// particles, at rest and with the number of their half-springs. `used` (zero before) counts places given
+/// out.
+///
+/// 32 registers a thread: where ptxas spills in the loops over the records, the kernel takes a quarter
+/// longer, and so it does where the tries of the hash table are not unrolled.
 template <class Record, class Shape, int Threads, int Capacity>
 __global__ void __launch_bounds__(Threads)
     build_tiles(const Record* __restrict__ split, const std::uint16_t* __restrict__ table, int chunks,
                 int room, int tiles, int n, int* __restrict__ used, Tiles out,
-                Particle* __restrict__ placed) {
+                const float4* __restrict__ placed, Particles laid) {
   static_assert(Shape::kSlices <= Threads && Capacity % 2 == 0);
   constexpr int lanes = Shape::kLanes, rows = Shape::kRows, slots_a_thread = Shape::kSlots / Threads;
+  static_assert(Shape::kSlots % Threads == 0, "every thread numbers the halo of equally many slots");
   extern __shared__ int4 pool[];
   __shared__ int warp_sum[3][32], tile_begin, tile_places;
   float* const rest_at = reinterpret_cast<float*>(pool);
@@ -344,12 +347,16 @@ __global__ void __launch_bounds__(Threads)
     outside.key[i] = Halo<Shape::kSlots>::kEmpty;
     outside.members[i] = 0;
   }
-  for_each_record<Record, Threads>(split, table, chunks, room, tiles, tile, run, [&](const Record& record) {
-    atomicAdd(count + record.place(), 1);
-    if (record.other() >> Shape::kShift != tile) outside.insert(record.other());
-  });
+  for_each_record<Record, Threads, false>(split, table, chunks, room, tiles, tile, run,
+                                          [&](const Record& record) {
+                                            atomicAdd(count + record.place(), 1);
+                                            if (record.other() >> Shape::kShift != tile)
+                                              outside.insert(record.other());
+                                          });
   __syncthreads();
   // Numbers the halo.
+  constexpr unsigned all = 0xffffffffu;
+  const int lane = read_lane();
   int mine = 0;
 #pragma unroll
   for (int k = 0; k < slots_a_thread; ++k) {
@@ -358,13 +365,18 @@ __global__ void __launch_bounds__(Threads)
   int before = sum_before<Threads>(mine, warp_sum[0]);
 #pragma unroll
   for (int k = 0; k < slots_a_thread; ++k) {
-    const int at = tid * slots_a_thread + k;
+    const int at = tid * slots_a_thread + k, group = outside.key[at];
+    const std::uint32_t members = outside.members[at];
     outside.before[at] = static_cast<std::uint16_t>(before);  // no more than 32 a slot
-    const int group = outside.key[at] * 32;
-    for (std::uint32_t rest = outside.members[at]; rest != 0; rest &= rest - 1, ++before) {
-      if (before < Shape::kHalo)
-        out.halo[tile * Shape::kHalo + before] = group + __ffs(static_cast<int>(rest)) - 1;
+    // Slots with members, which are few, take turns; a lane a member.
+    for (std::uint32_t slots = __ballot_sync(all, members != 0); slots != 0; slots &= slots - 1) {
+      const int slot = __ffs(static_cast<int>(slots)) - 1;
+      const std::uint32_t bits = __shfl_sync(all, members, slot);
+      const int to = __shfl_sync(all, before, slot) + __popc(bits & ((1u << lane) - 1u));
+      const int particle = __shfl_sync(all, group, slot) * 32 + lane;
+      if ((bits >> lane & 1u) != 0 && to < Shape::kHalo) out.halo[tile * Shape::kHalo + to] = particle;
     }
+    before += __popc(members);
   }
   if (tid == Threads - 1) out.halo_count[tile] = min(before, Shape::kHalo);
   // Gives every slice its places.
@@ -400,32 +412,34 @@ __global__ void __launch_bounds__(Threads)
       local_at[k] = 0;
     }
   }
-  float4* const parts = reinterpret_cast<float4*>(placed) + 2 * low;
-  for (int k = tid; k < 2 * particles; k += Threads) {
-    float4 part = parts[k];
-    if (k % 2 == 1) part.w = __int_as_float(count[k / 2]);
-    parts[k] = part;
-  }
+#pragma unroll 1  // unrolled, it spills registers of the loop below
+  for (int k = tid; k < particles; k += Threads)
+    laid.step[low + k] = make_float4(0.0f, 0.0f, 0.0f, __int_as_float(count[k]));
+#pragma unroll 1
+  for (int k = tid; k < particles; k += Threads) laid.base[low + k] = placed[2 * (low + k)];
   // for_each_record begins with a barrier.
-  for_each_record<Record, Threads>(split, table, chunks, room, tiles, tile, run, [&](const Record& record) {
-    const int i = record.place(), other = record.other();
-    const int k = atomicSub(count + i, 1) - 1;
-    const int at = row[i] % 2 ? row[i] / 2 + k : row[i] / 2 + k / lanes * 32 + k % lanes;
-    auto local = static_cast<std::uint16_t>(other & (Shape::kParticles - 1));
-    if (other >> Shape::kShift != tile) {
-      const int place = outside.find(other);
-      const bool near = place >= 0 && place < Shape::kHalo;
-      local = near ? static_cast<std::uint16_t>(Shape::kParticles + place) : kFar;
-      if (!near) out.far[base + at] = other;
-    }
-    if (fits) {
-      rest_at[at] = record.rest;
-      local_at[at] = local;
-    } else {
-      out.rest[base + at] = record.rest;
-      out.local[base + at] = local;
-    }
-  });
+  for_each_record<Record, Threads, true>(
+      split, table, chunks, room, tiles, tile, run, [&](const Record& record) {
+        const int i = record.place(), other = record.other();
+        const auto k = static_cast<unsigned>(atomicSub(count + i, 1)) - 1u;
+        const auto where = static_cast<unsigned>(row[i]);
+        const unsigned turns = where % 2u != 0u ? 0u : k / lanes;
+        const auto at = static_cast<int>(where / 2u + k + turns * (32u - lanes));
+        auto local = static_cast<std::uint16_t>(other & (Shape::kParticles - 1));
+        if (other >> Shape::kShift != tile) {
+          const int place = outside.find(other);
+          const bool near = place >= 0 && place < Shape::kHalo;
+          local = near ? static_cast<std::uint16_t>(Shape::kParticles + place) : kFar;
+          if (!near) out.far[base + at] = other;
+        }
+        if (fits) {
+          rest_at[at] = record.rest;
+          local_at[at] = local;
+        } else {
+          out.rest[base + at] = record.rest;
+          out.local[base + at] = local;
+        }
+      });
   __syncthreads();
   if (!fits) return;
   for (int k = tid; k < places; k += Threads) out.rest[base + k] = rest_at[k];
@@ -452,6 +466,7 @@ class SpringTiles {
     const std::size_t tiles_and_slices = static_cast<std::size_t>(tiles()) * Shape::kSlices;
     // A slice has at most twice as many places as half-springs, rounded up to a turn, and one turn more.
     places_ = 4 * static_cast<std::size_t>(m) + 64 * tiles_and_slices;
+    placed_ = DeviceBuffer<float4>(2 * static_cast<std::size_t>(n));
     number_ = DeviceBuffer<std::int32_t>(static_cast<std::size_t>(n));
     split_ =
         DeviceBuffer<unsigned char>((wide_ ? sizeof(WideRecord) : sizeof(NarrowRecord)) *
@@ -468,14 +483,14 @@ class SpringTiles {
     wide_ ? prepare<WideRecord>() : prepare<NarrowRecord>();
   }
 
-  /// Sorts particles and springs; the particles at rest go to `placed`.
+  /// Sorts particles and springs; the particles, at rest, go to `laid`.
   void build(const int2* ends, const float* rest, const float* x, const float* inv_mass,
-             const int2* cell_and_place, const std::int32_t* first, Particle* placed) const {
+             const int2* cell_and_place, const std::int32_t* first, const Particles& laid) const {
     constexpr int threads = 256;
     place_particles<<<static_cast<unsigned>((2 * n_ + threads - 1) / threads), threads>>>(
-        x, inv_mass, cell_and_place, first, n_, number_.get(), placed);
-    GPUPHYS_CUDA(cudaMemsetAsync(used_.get(), 0, sizeof(int)));
-    wide_ ? sort<WideRecord>(ends, rest, placed) : sort<NarrowRecord>(ends, rest, placed);
+        x, inv_mass, cell_and_place, first, n_, number_.get(), placed_.get(), halo_.get(),
+        tiles() * Shape::kHalo, used_.get());
+    wide_ ? sort<WideRecord>(ends, rest, laid) : sort<NarrowRecord>(ends, rest, laid);
   }
 
   int tiles() const { return ((n_ - 1) >> Shape::kShift) + 1; }
@@ -516,7 +531,7 @@ class SpringTiles {
   }
 
   template <class Record>
-  void sort(const int2* ends, const float* rest, Particle* placed) const {
+  void sort(const int2* ends, const float* rest, const Particles& laid) const {
     Record* const records = reinterpret_cast<Record*>(split_.get());
     if (chunks() > 0) {
       const auto blocks = static_cast<unsigned>(std::min(chunks(), Policy::split_blocks));
@@ -524,12 +539,13 @@ class SpringTiles {
           ends, rest, number_.get(), m_, chunks(), Shape::kShift, tiles(), records, table_.get());
     }
     build_kernel<Record><<<static_cast<unsigned>(tiles()), Policy::build_threads, bytes_to_build()>>>(
-        records, table_.get(), chunks(), room(), tiles(), n_, used_.get(), view(), placed);
+        records, table_.get(), chunks(), room(), tiles(), n_, used_.get(), view(), placed_.get(), laid);
   }
 
   int n_ = 0, m_ = 0;
   bool wide_ = false;
   std::size_t places_ = 0;
+  DeviceBuffer<float4> placed_;  // sectors: a particle at rest, and zeros
   DeviceBuffer<std::int32_t> number_;
   DeviceBuffer<unsigned char> split_;
   DeviceBuffer<std::uint16_t> table_, local_;
