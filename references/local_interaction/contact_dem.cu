@@ -34,11 +34,11 @@
 // words of a grain, so that it costs one or two sectors instead of three requests.
 #include <cstdint>
 #include <stdexcept>
-#include <string>
 #include <type_traits>
 
 #include "cases/local_interaction/contact_dem.hpp"
 #include "core/module.hpp"
+#include "references/common/alignment.hpp"
 #include "references/common/approximate.cuh"
 #include "references/common/neighbour_grid.cuh"
 
@@ -383,9 +383,10 @@ class Reference {
   void compute(const Inputs& in, const Outputs<float>& out) {
     const int n = static_cast<int>(in.radius.shape[0]);
     if (n == 0) return;
-    require_aligned(in.x.data, "x");
-    require_aligned(in.v.data, "v");
-    require_aligned(in.radius.data, "radius");
+    // The sort reads its inputs by 16 bytes.
+    require_aligned("contact_dem", "x", in.x.data);
+    require_aligned("contact_dem", "v", in.v.data);
+    require_aligned("contact_dem", "radius", in.radius.data);
     const auto blocks = [n](int threads) { return static_cast<unsigned>((n + threads - 1) / threads); };
     grid_.build(Grains{in.x.data, in.v.data, in.radius.data, split_.get(), sorted_.get(), codes_.get(), n});
     // An ordinary launch: blocks that join those of sort_bins on an SM would get what these leave of L1.
@@ -395,12 +396,6 @@ class Reference {
   }
 
  private:
-  // The sort reads its inputs by 16 bytes.
-  static void require_aligned(const float* data, const char* name) {
-    if (reinterpret_cast<std::uintptr_t>(data) % 16 != 0)
-      throw std::runtime_error("contact_dem: " + std::string(name) + " is not aligned to 16 bytes");
-  }
-
   neighbour_grid::NeighbourGrid<GridPolicy> grid_;
   DeviceBuffer<Grain> split_;
   DeviceBuffer<float4> sorted_;

@@ -33,6 +33,7 @@
 #include <algorithm>
 
 #include "cases/particle_grid/p2g_mpm.hpp"
+#include "references/common/alignment.hpp"
 #include "references/common/quadratic_bspline.cuh"
 #include "references/particle_grid/fixed_corotated.cuh"
 #include "references/particle_grid/particle_binning.cuh"
@@ -618,6 +619,7 @@ class Reference {
     const auto blocks = [](std::int64_t items, int per_block) {
       return static_cast<unsigned>(std::max<std::int64_t>(1, (items + per_block - 1) / per_block));
     };
+    require_aligned("p2g_mpm", "x", in.x.data);  // counted by 16 bytes
     bins_.clear();
     const auto parts = static_cast<unsigned>(bins.parts);
     mark<<<blocks(n, Policy::mark_threads * Policy::mark_stride), Policy::mark_threads>>>(grid, bins,
