@@ -15,6 +15,7 @@
 #pragma once
 
 #include <cstdint>
+#include <type_traits>
 
 #include "references/common/approximate.cuh"
 #include "references/position_constraint/spatial_order.cuh"
@@ -323,43 +324,37 @@ __global__ void __launch_bounds__(Threads, BlocksAtOnce)
     held[Shape::kHeld + 1] = {0, 0, 0, -__int_as_float(0x7f800000)};
   }
   const Holder hold(frame);
+  // Of `count` particles the thread takes number tid + j Threads for j below `turns`: that is particle at(j).
+  const auto load = [&](auto turns, int count, auto&& at, auto&& keep) {
 #pragma unroll
-  for (int j0 = 0; j0 < own_turns; j0 += Batch) {
-    float4 base[Batch], step[Batch];
+    for (int j0 = 0; j0 < turns.value; j0 += Batch) {
+      if (j0 * Threads >= count) break;
+      float4 base[Batch], step[Batch];
 #pragma unroll
-    for (int j = 0; j < Batch && j0 + j < own_turns; ++j) {
-      const int at = low + min(tid + (j0 + j) * Threads, particles - 1);
-      base[j] = iteration.base[at];
-      step[j] = iteration.now[at];
+      for (int j = 0; j < Batch && j0 + j < turns.value; ++j) {
+        base[j] = iteration.base[at(j0 + j)];
+        step[j] = iteration.now[at(j0 + j)];
+      }
+#pragma unroll
+      for (int j = 0; j < Batch && j0 + j < turns.value; ++j) {
+        const int k = tid + (j0 + j) * Threads;
+        const Held p = hold(base[j], step[j]);
+        if (k >= count) continue;
+        look_up = look_up || p.valence() == Held::kLookUp;
+        keep(k, p, step[j]);
+      }
     }
-#pragma unroll
-    for (int j = 0; j < Batch && j0 + j < own_turns; ++j) {
-      const int k = tid + (j0 + j) * Threads;
-      const Held p = hold(base[j], step[j]);
-      if (k >= particles) continue;
-      look_up = look_up || p.valence() == Held::kLookUp;
-      held[k] = p;
-      steps[k] = step[j];
-    }
-  }
-#pragma unroll
-  for (int j0 = 0; j0 < halo_turns; j0 += Batch) {
-    if (j0 * Threads >= outside) break;
-    float4 base[Batch], step[Batch];
-#pragma unroll
-    for (int j = 0; j < Batch && j0 + j < halo_turns; ++j) {
-      base[j] = iteration.base[outside_at[j0 + j]];
-      step[j] = iteration.now[outside_at[j0 + j]];
-    }
-#pragma unroll
-    for (int j = 0; j < Batch && j0 + j < halo_turns; ++j) {
-      const int k = tid + (j0 + j) * Threads;
-      const Held p = hold(base[j], step[j]);
-      if (k >= outside) continue;
-      look_up = look_up || p.valence() == Held::kLookUp;
-      held[Shape::kParticles + k] = p;
-    }
-  }
+  };
+  load(
+      std::integral_constant<int, own_turns>{}, particles,
+      [&](int j) { return low + min(tid + j * Threads, particles - 1); },
+      [&](int k, const Held& p, const float4& step) {
+        held[k] = p;
+        steps[k] = step;
+      });
+  load(
+      std::integral_constant<int, halo_turns>{}, outside, [&](int j) { return outside_at[j]; },
+      [&](int k, const Held& p, const float4&) { held[Shape::kParticles + k] = p; });
   look_up = __syncthreads_or(look_up) != 0;
   const float metre = 1.0f / (Held::kUnits * frame.per_metre);
   if constexpr (First) {
