@@ -275,7 +275,7 @@ __device__ __forceinline__ bool project_rows(const Held* held, const float4* ste
 }
 
 /// One Jacobi iteration, a block a tile: the tile's particles and its halo come to shared memory, `Batch`
-/// loads of a thread under way together; more are slower. The first iteration (`First`) chooses the tile's
+/// particles of a thread at a time. The first iteration (`First`) chooses the tile's
 /// frame and finds out whether later ones need look anything up.
 ///
 /// Iterations take turns in going backward, so that each begins with what the L2 still holds of the one
@@ -291,7 +291,6 @@ __global__ void __launch_bounds__(Threads, BlocksAtOnce)
   const int tid = static_cast<int>(threadIdx.x);
   const int tile = static_cast<int>(iteration.backward ? gridDim.x - 1 - blockIdx.x : blockIdx.x);
   const int low = tile << Shape::kShift, particles = min(Shape::kParticles, iteration.n - low);
-  // `Batch` particles of a thread are under way together.
   constexpr int own_turns = (Shape::kParticles + Threads - 1) / Threads;
   constexpr int halo_turns = (Shape::kHalo + Threads - 1) / Threads;
   int outside_at[halo_turns];
