@@ -129,6 +129,40 @@ TEST(Inventory, MutantsAreEnoughAndPlantedInBothLanes) {
   }
 }
 
+TEST(Inventory, OfSeveralGpusTheNewestRecordOfEachTaskIsShown) {
+  std::string pattern = (fs::temp_directory_path() / "gpuphys_records_XXXXXX").string();
+  const std::string root = ::mkdtemp(pattern.data());
+  const auto record = [&](const std::string& gpu, const std::string& task, const std::string& started) {
+    TaskRecord r;
+    r.task = task;
+    RunResult run;
+    run.task = task;
+    run.lane = "gpu";
+    run.label = "reference";
+    run.set = "public";
+    run.started = started;
+    TimingResult timing;
+    timing.task = task;
+    timing.label = "reference";
+    timing.set = "public";
+    timing.device = gpu;
+    r.results = {run};
+    r.timing = {timing};
+    write_record(root, gpu, r);
+  };
+  record("gpu-a", "t", "2026-11-22T05:30:00Z");
+  record("gpu-b", "t", "2026-11-21T05:30:00Z");
+  record("gpu-b", "u", "2026-11-20T05:30:00Z");
+  const ResultSet s = gather_newest_results(root + "/none", root, "");
+  ASSERT_EQ(s.runs.size(), 2u);
+  EXPECT_EQ(record_slug(s, "t"), "gpu-a");
+  EXPECT_EQ(record_slug(s, "u"), "gpu-b");
+  ASSERT_NE(s.find_timing("t", "reference", "public"), nullptr);
+  EXPECT_EQ(s.find_timing("t", "reference", "public")->device, "gpu-a");
+  EXPECT_EQ(record_slug(gather_newest_results(root + "/none", root, "gpu-b"), "t"), "gpu-b");
+  fs::remove_all(root);
+}
+
 TEST(Inventory, GeneratorsAreDeterministicAndFitTheContract) {
   for (const Task& t : all_tasks()) {
     for (const InputSet& s : t.sets) {

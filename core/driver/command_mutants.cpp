@@ -22,7 +22,9 @@ void add_mutants_command(CLI::App& app, Context& ctx) {
   CLI::App* command =
       app.add_subcommand("mutants", "Kill matrix: which check sees which planted fault, and by how much");
   command->add_option("--task", o->tasks, "Task (repeatable; default: all)");
-  command->add_option("--gpu", o->gpu, "GPU whose records to use, e.g. nvidia-h200");
+  command->add_option(
+      "--gpu", o->gpu,
+      "GPU whose records to use, e.g. nvidia-h200 (default: the one here, or of each task the newest)");
   command->add_flag("--csv", o->csv, "Write CSV: one line for each mutant and check");
   command->footer(
       "Cells are error over tolerance, the largest over the input sets; above 1 the check saw the fault. "
@@ -33,7 +35,7 @@ void add_mutants_command(CLI::App& app, Context& ctx) {
       "  gpuphys mutants --task advect_rk2\n"
       "  gpuphys mutants --csv > kills.csv\n");
   command->callback([o, &ctx] {
-    const ResultSet results = gather_results(ctx.results_root, ctx.records_root(), o->gpu);
+    const ResultSet results = gather_newest_results(ctx.results_root, ctx.records_root(), o->gpu);
     Table csv({"task", "lane", "mutant", "class", "expected_check", "sparse", "check", "ratio",
                "killed_everywhere"});
     std::vector<std::string> trouble;

@@ -196,7 +196,7 @@ void execute(std::vector<std::string> words) {
 }
 
 void report(Context& ctx, const ReportOptions& o) {
-  const ResultSet results = gather_results(ctx.results_root, ctx.records_root(), o.gpu);
+  const ResultSet results = gather_newest_results(ctx.results_root, ctx.records_root(), o.gpu);
   const std::vector<const Task*> tasks = select_tasks(o.tasks);
   Progress progress("report", static_cast<std::int64_t>(tasks.size()));
   json data = {{"schema", kResultSchema}, {"suite_version", kSuiteVersion},   {"created", utc_now()},
@@ -220,7 +220,9 @@ void add_report_command(CLI::App& app, Context& ctx) {
       app.add_subcommand("report", "One static HTML page with figures, and the CSV behind them");
   command->add_option("--output", o->output, "Folder to write to")->capture_default_str();
   command->add_option("--task", o->tasks, "Task (repeatable; default: all)");
-  command->add_option("--gpu", o->gpu, "GPU whose records to use, e.g. nvidia-h200");
+  command->add_option(
+      "--gpu", o->gpu,
+      "GPU whose records to use, e.g. nvidia-h200 (default: the one here, or of each task the newest)");
   command->add_option("--python", o->python, "Python with matplotlib and jinja2")->capture_default_str();
   command->add_flag("--data-only", o->data_only, "Write report.json only");
   command->footer(

@@ -7,6 +7,7 @@
 
 #include "core/analysis.hpp"
 #include "core/driver/context.hpp"
+#include "core/driver/inventory.hpp"
 #include "core/driver/table.hpp"
 #include "core/task.hpp"
 
@@ -53,7 +54,9 @@ void add_tolerance_command(CLI::App& app, Context& ctx) {
   command->add_option("--task", o->task, "Task (default: all)");
   command->add_option("--check", o->check, "Check, as `gpuphys list --task T` names it");
   command->add_option("--value", o->value, "Proposed tolerance")->check(CLI::NonNegativeNumber);
-  command->add_option("--gpu", o->gpu, "GPU whose records to use, e.g. nvidia-h200");
+  command->add_option(
+      "--gpu", o->gpu,
+      "GPU whose records to use, e.g. nvidia-h200 (default: the one here, or of each task the newest)");
   command->footer(
       "Works on the results of this machine, with the committed records where a run was not repeated here. "
       "Nothing is run.\n"
@@ -71,7 +74,7 @@ void add_tolerance_command(CLI::App& app, Context& ctx) {
     if (o->check.empty() != std::isnan(o->value))
       throw Error(ExitCode::usage, "--check and --value belong together");
     if (!o->check.empty() && o->task.empty()) throw Error(ExitCode::usage, "--check needs --task");
-    const ResultSet results = gather_results(ctx.results_root, ctx.records_root(), o->gpu);
+    const ResultSet results = gather_newest_results(ctx.results_root, ctx.records_root(), o->gpu);
     if (o->check.empty()) return print_windows(results, all);
 
     const WhatIf w = what_if(results, o->task, o->check, o->value);

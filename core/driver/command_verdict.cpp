@@ -1,10 +1,13 @@
 // gpuphys verdict: one line a task, and by name everything that is not as it should be.
 #include <fmt/format.h>
+#include <fmt/ranges.h>
 
 #include <CLI/CLI.hpp>
 #include <cmath>
 #include <map>
 #include <memory>
+#include <string>
+#include <vector>
 
 #include "core/analysis.hpp"
 #include "core/driver/context.hpp"
@@ -87,13 +90,14 @@ Table csv_table(const std::vector<Verdict>& verdicts) {
 
 void verdicts(Context& ctx, const VerdictOptions& o) {
   const Lanes lanes{.cpu = o.lane != "gpu", .gpu = o.lane != "cpu"};
-  const ResultSet results = gather_results(ctx.results_root, ctx.records_root(), o.gpu);
+  const ResultSet results = gather_newest_results(ctx.results_root, ctx.records_root(), o.gpu);
   std::vector<Verdict> all;
-  std::map<std::string, int> states, recorded;
+  std::map<std::string, int> states;
+  std::map<std::string, std::vector<std::string>> recorded;  // tasks by GPU
   for (const Task* task : select_tasks(o.tasks)) {
     Verdict v = full_verdict(results, *task, lanes, ctx.source_root);
     if (const std::string slug = record_slug(results, task->name); lanes.gpu && !slug.empty())
-      ++recorded[slug];
+      recorded[slug].push_back(task->name);
     ++states[v.state];
     all.push_back(std::move(v));
   }
@@ -111,8 +115,10 @@ void verdicts(Context& ctx, const VerdictOptions& o) {
   std::FILE* out = o.csv ? stderr : stdout;
   bool trouble = !results.unreadable.empty();
   for (const std::string& note : results.notes) fmt::print(out, "note: {}\n", note);
-  for (const auto& [slug, n] : recorded)
-    fmt::print(out, "note: GPU numbers of {} tasks come from the records of {}\n", n, slug);
+  for (const auto& [slug, tasks] : recorded) {
+    fmt::print(out, "note: GPU numbers of {} tasks come from the records of {}{}\n", tasks.size(), slug,
+               recorded.size() > 1 ? fmt::format(": {}", fmt::join(tasks, ", ")) : "");
+  }
   for (const RunResult& r : results.runs) {
     if (r.role != "user") continue;
     fmt::print(out, "user module: {} {} {} {}: {}{}\n", r.task, r.lane, r.label, r.set, to_string(r.state),
@@ -142,7 +148,9 @@ void add_verdict_command(CLI::App& app, Context& ctx) {
   command->add_option("--lane", o->lane, "Which results are demanded")
       ->check(CLI::IsMember({"all", "cpu", "gpu"}))
       ->capture_default_str();
-  command->add_option("--gpu", o->gpu, "GPU whose records to use, e.g. nvidia-h200");
+  command->add_option(
+      "--gpu", o->gpu,
+      "GPU whose records to use, e.g. nvidia-h200 (default: the one here, or of each task the newest)");
   command->add_flag("--csv", o->csv, "Write the table as CSV (everything else goes to stderr)");
   command->footer(
       "Shows the results of this machine, with the committed GPU records where a run was not repeated here. "

@@ -5,6 +5,8 @@
 
 #include <algorithm>
 #include <filesystem>
+#include <iterator>
+#include <map>
 #include <set>
 #include <sstream>
 
@@ -90,6 +92,33 @@ std::vector<Issue> record_issues(const TaskRecord& record, const Task& task, con
       issues(results, expectation_of(task, source_root), {.cpu = false, .gpu = true});
   found.insert(found.end(), rest.begin(), rest.end());
   return found;
+}
+
+ResultSet gather_newest_results(const std::string& results_root, const std::string& records_root,
+                                const std::string& slug) {
+  const std::vector<std::string> gpus = recorded_gpus(records_root);
+  ResultSet live = load_results(results_root);
+  const bool measured_here = std::any_of(live.runs.begin(), live.runs.end(), is_recorded);
+  if (!slug.empty() || gpus.size() < 2 || measured_here)
+    return gather_results(results_root, records_root, slug);
+  ResultSet recorded;
+  for (const std::string& gpu : gpus) {
+    ResultSet of_gpu = load_records(records_root, gpu);
+    std::move(of_gpu.runs.begin(), of_gpu.runs.end(), std::back_inserter(recorded.runs));
+    std::move(of_gpu.timings.begin(), of_gpu.timings.end(), std::back_inserter(recorded.timings));
+    std::move(of_gpu.unreadable.begin(), of_gpu.unreadable.end(), std::back_inserter(recorded.unreadable));
+  }
+  std::map<std::string, const RunResult*> newest;
+  for (const RunResult& r : recorded.runs) {
+    const RunResult*& best = newest[r.task];
+    if (best == nullptr || r.started > best->started) best = &r;
+  }
+  std::map<std::string, std::string> origin;
+  for (const auto& [task, run] : newest) origin[task] = run->origin;
+  const auto older = [&](const auto& r) { return origin.contains(r.task) && origin[r.task] != r.origin; };
+  std::erase_if(recorded.runs, older);
+  std::erase_if(recorded.timings, older);
+  return merge_results(std::move(live), std::move(recorded));
 }
 
 std::string record_slug(const ResultSet& results, const std::string& task) {

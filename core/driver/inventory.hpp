@@ -29,6 +29,11 @@ std::vector<Issue> record_issues(const TaskRecord&, const Task&, const std::stri
 /// than their sources.
 Verdict full_verdict(const ResultSet&, const Task&, Lanes, const std::string& source_root);
 
+/// What the reporting commands show: gather_results(), but where several GPUs have records, none is named and
+/// no result is of one here, of each task the record whose runs are newest, on whatever GPU.
+ResultSet gather_newest_results(const std::string& results_root, const std::string& records_root,
+                                const std::string& slug);
+
 /// The GPU whose record supplied results of a task, "" when none did.
 std::string record_slug(const ResultSet&, const std::string& task);
 
