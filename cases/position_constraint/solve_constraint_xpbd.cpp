@@ -223,8 +223,8 @@ Problem far_away() {
   return problem_of(s);
 }
 
-// A cloth whose springs are ten times as long as the distances of their ends: displacements exceed the size
-// of what is displaced.
+// A cloth whose springs are fifty times as long as the distances of their ends: displacements are of the size
+// of the cloth, beyond what coordinates relative to it allow for.
 Problem crushed() {
   SpringSystem s = small_cloth(31);
   for (auto& x : s.position) {

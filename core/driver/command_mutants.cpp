@@ -22,9 +22,7 @@ void add_mutants_command(CLI::App& app, Context& ctx) {
   CLI::App* command =
       app.add_subcommand("mutants", "Kill matrix: which check sees which planted fault, and by how much");
   command->add_option("--task", o->tasks, "Task (repeatable; default: all)");
-  command->add_option(
-      "--gpu", o->gpu,
-      "GPU whose records to use, e.g. nvidia-h200 (default: the one here, or of each task the newest)");
+  command->add_option("--gpu", o->gpu, kGpuHelp);
   command->add_flag("--csv", o->csv, "Write CSV: one line for each mutant and check");
   command->footer(
       "Cells are error over tolerance, the largest over the input sets; above 1 the check saw the fault. "

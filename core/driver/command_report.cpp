@@ -220,9 +220,7 @@ void add_report_command(CLI::App& app, Context& ctx) {
       app.add_subcommand("report", "One static HTML page with figures, and the CSV behind them");
   command->add_option("--output", o->output, "Folder to write to")->capture_default_str();
   command->add_option("--task", o->tasks, "Task (repeatable; default: all)");
-  command->add_option(
-      "--gpu", o->gpu,
-      "GPU whose records to use, e.g. nvidia-h200 (default: the one here, or of each task the newest)");
+  command->add_option("--gpu", o->gpu, kGpuHelp);
   command->add_option("--python", o->python, "Python with matplotlib and jinja2")->capture_default_str();
   command->add_flag("--data-only", o->data_only, "Write report.json only");
   command->footer(

@@ -54,9 +54,7 @@ void add_tolerance_command(CLI::App& app, Context& ctx) {
   command->add_option("--task", o->task, "Task (default: all)");
   command->add_option("--check", o->check, "Check, as `gpuphys list --task T` names it");
   command->add_option("--value", o->value, "Proposed tolerance")->check(CLI::NonNegativeNumber);
-  command->add_option(
-      "--gpu", o->gpu,
-      "GPU whose records to use, e.g. nvidia-h200 (default: the one here, or of each task the newest)");
+  command->add_option("--gpu", o->gpu, kGpuHelp);
   command->footer(
       "Works on the results of this machine, with the committed records where a run was not repeated here. "
       "Nothing is run.\n"

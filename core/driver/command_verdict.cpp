@@ -148,9 +148,7 @@ void add_verdict_command(CLI::App& app, Context& ctx) {
   command->add_option("--lane", o->lane, "Which results are demanded")
       ->check(CLI::IsMember({"all", "cpu", "gpu"}))
       ->capture_default_str();
-  command->add_option(
-      "--gpu", o->gpu,
-      "GPU whose records to use, e.g. nvidia-h200 (default: the one here, or of each task the newest)");
+  command->add_option("--gpu", o->gpu, kGpuHelp);
   command->add_flag("--csv", o->csv, "Write the table as CSV (everything else goes to stderr)");
   command->footer(
       "Shows the results of this machine, with the committed GPU records where a run was not repeated here. "

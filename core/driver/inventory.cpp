@@ -9,6 +9,7 @@
 #include <map>
 #include <set>
 #include <sstream>
+#include <utility>
 
 #include "core/files.hpp"
 #include "core/judge.hpp"
@@ -108,14 +109,10 @@ ResultSet gather_newest_results(const std::string& results_root, const std::stri
     std::move(of_gpu.timings.begin(), of_gpu.timings.end(), std::back_inserter(recorded.timings));
     std::move(of_gpu.unreadable.begin(), of_gpu.unreadable.end(), std::back_inserter(recorded.unreadable));
   }
-  std::map<std::string, const RunResult*> newest;
-  for (const RunResult& r : recorded.runs) {
-    const RunResult*& best = newest[r.task];
-    if (best == nullptr || r.started > best->started) best = &r;
-  }
-  std::map<std::string, std::string> origin;
-  for (const auto& [task, run] : newest) origin[task] = run->origin;
-  const auto older = [&](const auto& r) { return origin.contains(r.task) && origin[r.task] != r.origin; };
+  std::map<std::string, std::pair<std::string, std::string>> newest;  // by task: when started, and origin
+  for (const RunResult& r : recorded.runs)
+    newest[r.task] = std::max(newest[r.task], std::pair{r.started, r.origin});
+  const auto older = [&](const auto& r) { return newest[r.task].second != r.origin; };
   std::erase_if(recorded.runs, older);
   std::erase_if(recorded.timings, older);
   return merge_results(std::move(live), std::move(recorded));

@@ -30,9 +30,15 @@ std::vector<Issue> record_issues(const TaskRecord&, const Task&, const std::stri
 Verdict full_verdict(const ResultSet&, const Task&, Lanes, const std::string& source_root);
 
 /// What the reporting commands show: gather_results(), but where several GPUs have records, none is named and
-/// no result is of one here, of each task the record whose runs are newest, on whatever GPU.
+/// no result is of one here, of each task the record whose runs are newest, on whatever GPU. Apart from
+/// gather_results() only because core/results is part of every record's digest; join them with its next
+/// change.
 ResultSet gather_newest_results(const std::string& results_root, const std::string& records_root,
                                 const std::string& slug);
+
+/// Help of the option that names the GPU for gather_newest_results().
+inline constexpr const char* kGpuHelp =
+    "GPU whose records to use, e.g. nvidia-h200 (default: the one here, or of each task the newest)";
 
 /// The GPU whose record supplied results of a task, "" when none did.
 std::string record_slug(const ResultSet&, const std::string& task);

@@ -10,8 +10,9 @@
 //
 // In shared memory a particle takes 16 bytes (Held): integers instead of position and displacement apart, in
 // a unit that suits the tile. A spring's end costs one random read of 16 bytes instead of two, which bound
-// the iteration before. What integers do not resolve, springs short against the tile, is looked up in device
-// memory, spring by spring: slower, and as exact as position and displacement are.
+// the iteration before. What integers do not resolve, springs short against the tile and particles that leave
+// it far behind, is looked up in device memory, spring by spring: slower, and as exact as position and
+// displacement are.
 #pragma once
 
 #include <cstdint>
