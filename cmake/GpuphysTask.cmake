@@ -78,6 +78,7 @@ function(gpuphys_add_task task family)
     endif()
   endforeach()
   set(GPUPHYS_TASKS ${GPUPHYS_TASKS} ${task} CACHE INTERNAL "")
+  set(GPUPHYS_FAMILY_OF_${task} ${family} CACHE INTERNAL "")
   add_custom_target(task_${task})
   target_sources(gpuphys_core PRIVATE ${case})
 
@@ -177,7 +178,7 @@ function(gpuphys_finish)
   set(calls "")
   foreach(task ${GPUPHYS_TASKS})
     string(APPEND declarations "namespace ${task} {\nTask make_task();\n}\n")
-    string(APPEND calls "    all.push_back(${task}::make_task());\n")
+    string(APPEND calls "    add(${task}::make_task(), \"${task}\", \"${GPUPHYS_FAMILY_OF_${task}}\");\n")
   endforeach()
   file(CONFIGURE OUTPUT ${PROJECT_BINARY_DIR}/registry.cpp CONTENT
 "// Written by cmake/GpuphysTask.cmake.
@@ -190,6 +191,11 @@ ${declarations}
 const std::vector<Task>& all_tasks() {
   static const std::vector<Task> tasks = [] {
     std::vector<Task> all;
+    const auto add = [&all](Task t, const char* name, const char* family) {
+      t.name = name;
+      t.family = family;
+      all.push_back(std::move(t));
+    };
 ${calls}    std::sort(all.begin(), all.end(), [](const Task& a, const Task& b) { return a.paper_number < b.paper_number; });
     return all;
   }();

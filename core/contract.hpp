@@ -6,13 +6,14 @@
 //       View<const float, 3> ux;
 //       float dt;
 //       template <class V> void visit(V&& v) {
-//         v.array("ux", ux, "nx+1,ny,nz", "m/s");
-//         v.scalar("dt", dt, "s");
+//         v.array("ux", ux, "nx+1,ny,nz", "m/s", between(-1e9, 1e9));
+//         v.scalar("dt", dt, "s", positive());
 //       }
 //     };
 #pragma once
 
 #include <cstdint>
+#include <limits>
 #include <string>
 #include <type_traits>
 #include <vector>
@@ -38,6 +39,33 @@ constexpr DType dtype_of() {
 
 enum class Access { read_only, overwritable };
 
+/// The values of an array or scalar that are valid: finite, and within the bounds. A specification says what
+/// they are; inputs from files are held to them, and so are the suite's own sets.
+struct Valid {
+  double least = -std::numeric_limits<double>::infinity();
+  double most = std::numeric_limits<double>::infinity();
+  bool above_least = false;  ///< `least` itself is not valid
+  std::string index_of;      ///< the shape symbol that entries count along: [0, its value)
+};
+inline Valid finite() {
+  return {};
+}
+inline Valid positive(double most = std::numeric_limits<double>::infinity()) {
+  return {0, most, true, {}};
+}
+inline Valid at_least(double least) {
+  return {least, std::numeric_limits<double>::infinity(), false, {}};
+}
+inline Valid between(double least, double most) {
+  return {least, most, false, {}};
+}
+/// Entries that count along the shape symbol `symbol`, from 0.
+inline Valid index_into(std::string symbol) {
+  Valid v;
+  v.index_of = std::move(symbol);
+  return v;
+}
+
 /// One array of a contract. `shape` is symbolic: comma-separated terms, each a number, a name, or name+number
 /// ("nx+1").
 struct ArraySpec {
@@ -47,12 +75,14 @@ struct ArraySpec {
   std::string shape;
   std::string unit;
   Access access = Access::read_only;
+  Valid valid = {};
 };
 
 struct ScalarSpec {
   std::string name;
   DType dtype;
   std::string unit;
+  Valid valid = {};
 };
 
 struct Contract {
@@ -67,12 +97,16 @@ struct DescribeVisitor {
   std::vector<ScalarSpec>& scalars;
   template <class T, int R>
   void array(const char* name, View<T, R>&, const char* shape, const char* unit,
-             Access access = Access::read_only) {
-    arrays.push_back({name, dtype_of<T>(), R, shape, unit, access});
+             Access access = Access::read_only, Valid valid = {}) {
+    arrays.push_back({name, dtype_of<T>(), R, shape, unit, access, std::move(valid)});
+  }
+  template <class T, int R>
+  void array(const char* name, View<T, R>& view, const char* shape, const char* unit, Valid valid) {
+    array(name, view, shape, unit, Access::read_only, std::move(valid));
   }
   template <class T>
-  void scalar(const char* name, T&, const char* unit) {
-    scalars.push_back({name, dtype_of<T>(), unit});
+  void scalar(const char* name, T&, const char* unit, Valid valid = {}) {
+    scalars.push_back({name, dtype_of<T>(), unit, std::move(valid)});
   }
 };
 
@@ -86,8 +120,8 @@ struct BindVisitor {
   int next_array = 0, next_scalar = 0;
   bool ok = true;
 
-  template <class T, int R>
-  void array(const char*, View<T, R>& view, const char*, const char*, Access = Access::read_only) {
+  template <class T, int R, class... Rest>
+  void array(const char*, View<T, R>& view, const char*, const char*, const Rest&...) {
     if (next_array >= n_arrays) {
       ok = false;
       return;
@@ -100,8 +134,8 @@ struct BindVisitor {
     view.data = static_cast<T*>(a.data);
     for (int d = 0; d < R; ++d) view.shape[d] = a.shape[d];
   }
-  template <class T>
-  void scalar(const char*, T& value, const char*) {
+  template <class T, class... Rest>
+  void scalar(const char*, T& value, const char*, const Rest&...) {
     if (next_scalar >= n_scalars) {
       ok = false;
       return;

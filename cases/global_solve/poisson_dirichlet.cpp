@@ -158,8 +158,6 @@ std::vector<InputSet> hard_sets() {
 
 Task make_task() {
   Task t;
-  t.name = "poisson_dirichlet";
-  t.family = "global_solve";
   t.title = "Poisson solve with homogeneous Dirichlet boundaries";
   t.paper_number = 1;
   t.contract = describe<Inputs, Outputs<float>>();

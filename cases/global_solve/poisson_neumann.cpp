@@ -267,8 +267,6 @@ std::vector<InputSet> hard_sets() {
 
 Task make_task() {
   Task t;
-  t.name = "poisson_neumann";
-  t.family = "global_solve";
   t.title = "Poisson solve with Neumann boundaries on cut cells";
   t.paper_number = 2;
   t.contract = describe<Inputs, Outputs<float>>();

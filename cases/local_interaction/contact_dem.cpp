@@ -325,8 +325,6 @@ std::vector<InputSet> hard_sets() {
 
 Task make_task() {
   Task t;
-  t.name = "contact_dem";
-  t.family = "local_interaction";
   t.title = "Normal contact forces between overlapping spherical DEM grains";
   t.paper_number = 47;
   t.contract = describe<Inputs, Outputs<float>>();

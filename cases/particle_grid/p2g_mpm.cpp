@@ -382,8 +382,6 @@ std::vector<InputSet> hard_cases() {
 
 Task make_task() {
   Task t;
-  t.name = "p2g_mpm";
-  t.family = "particle_grid";
   t.title = "Particle-to-grid transfer of momentum and elastic forces (MPM, quadratic B-splines)";
   t.paper_number = 33;
   t.contract = describe<Inputs, Outputs<float>>();

@@ -373,8 +373,6 @@ std::vector<InputSet> hard_sets() {
 
 Task make_task() {
   Task t;
-  t.name = "solve_constraint_xpbd";
-  t.family = "position_constraint";
   t.title = "XPBD projection of spring constraints (Jacobi, averaged by valence)";
   t.paper_number = 12;
   t.contract = describe<Inputs, Outputs<float>>();
