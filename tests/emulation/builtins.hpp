@@ -530,11 +530,6 @@ inline unsigned __dp4a(unsigned a, unsigned b, unsigned c) {
   for (int i = 0; i < 4; ++i) c += (a >> (8 * i) & 0xffu) * (b >> (8 * i) & 0xffu);
   return c;
 }
-template <class T>
-std::size_t __cvta_generic_to_shared(const T* p) {
-  return reinterpret_cast<std::size_t>(p);
-}
-
 // ---- Arithmetic ----
 
 #define EMULATION_MIN_MAX(R, A, B)                                                        \

@@ -215,20 +215,43 @@ inline void poison_shared() {
   poison(dynamic.data, dynamic.bytes);
 }
 
-/// The pointer that __cvta_generic_to_shared() made a 32-bit address of.
-template <class T>
-T* shared_pointer(unsigned address) {
+// Addresses of 32 bits in shared memory: static variables from 2^24 on, dynamic memory from 2^25 on.
+constexpr std::size_t kStaticAddress = std::size_t{1} << 24, kDynamicAddress = std::size_t{1} << 25;
+inline std::size_t shared_address(const void* p) {
+  const auto at = reinterpret_cast<std::uintptr_t>(p);
   const Segment s = static_shared();
-  for (const Segment& part : {s, Segment{dynamic.data, dynamic.bytes}}) {
-    const unsigned offset = address - static_cast<unsigned>(reinterpret_cast<std::uintptr_t>(part.data));
-    if (offset < part.bytes) {
-      if (offset % alignof(T) != 0 && address % alignof(T) != 0)
-        throw std::runtime_error("misaligned shared address");
-      return reinterpret_cast<T*>(part.data + offset);
-    }
-  }
-  throw std::runtime_error("not an address in shared memory");
+  const auto base = reinterpret_cast<std::uintptr_t>(s.data);
+  const auto dynamic_base = reinterpret_cast<std::uintptr_t>(dynamic.data);
+  // One past the end is an address, too.
+  if (at - dynamic_base <= dynamic.bytes) return kDynamicAddress + (at - dynamic_base);
+  if (at - base <= s.bytes) return kStaticAddress + base % 256 + (at - base);
+  throw std::runtime_error("not in shared memory");
 }
+/// The pointer that shared_address() made an address of.
+template <class T>
+T* shared_pointer(std::size_t address) {
+  const Segment s = static_shared();
+  char* p = nullptr;
+  if (address - kDynamicAddress < dynamic.bytes) {
+    p = dynamic.data + (address - kDynamicAddress);
+  } else if (const std::size_t o = address - kStaticAddress - reinterpret_cast<std::uintptr_t>(s.data) % 256;
+             o < s.bytes) {
+    p = s.data + o;
+  } else {
+    throw std::runtime_error("not an address in shared memory");
+  }
+  require_alignment(reinterpret_cast<T*>(p));
+  return reinterpret_cast<T*>(p);
+}
+
+}  // namespace emulation
+
+template <class T>
+std::size_t __cvta_generic_to_shared(const T* p) {
+  return ::emulation::shared_address(p);
+}
+
+namespace emulation {
 
 // ---- Launches ----
 
