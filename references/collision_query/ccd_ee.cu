@@ -261,11 +261,17 @@ __device__ __forceinline__ PairMotion relative(const EdgeMotion& p, const EdgeMo
 }
 
 // Whether the point where the lines of two coplanar edges cross lies on both of them.
+using collision::operator*;
 __device__ __forceinline__ bool meet(float3 u, float3 v, float3 w) {
+  // In units in which u and v are about 1 long.
+  const float of_u = collision::scale_of(collision::largest_of(u));
+  const float of_v = collision::scale_of(collision::largest_of(v));
+  u = of_u * u;
+  v = of_v * v;
   const float3 n = collision::cross(u, v);
   const float nn = collision::dot(n, n);
-  const float s = collision::dot(collision::cross(w, v), n);  // times nn
-  const float r = collision::dot(collision::cross(w, u), n);
+  const float s = collision::dot(collision::cross(of_u * w, v), n);  // times nn
+  const float r = collision::dot(collision::cross(of_v * w, u), n);
   const bool crossing = nn > 1e-12f * (collision::dot(u, u) * collision::dot(v, v));
   return crossing && s >= 0.0f && s <= nn && r >= 0.0f && r <= nn;
 }

@@ -16,11 +16,30 @@ __device__ __forceinline__ float3 cross(float3 a, float3 b) {
   return {a.y * b.z - a.z * b.y, a.z * b.x - a.x * b.z, a.x * b.y - a.y * b.x};
 }
 
+__device__ __forceinline__ float3 operator*(float s, float3 a) {
+  return {s * a.x, s * a.y, s * a.z};
+}
+__device__ __forceinline__ float largest_of(float3 a) {
+  return fmaxf(fmaxf(fabsf(a.x), fabsf(a.y)), fabsf(a.z));
+}
+
+/// The power of two that brings a length to between 1 and 2 (nearer to it only, beyond 2^-100 and 2^100):
+/// products of six lengths, and their squares, stay within float32.
+__device__ __forceinline__ float scale_of(float length) {
+  const int exponent = min(max(__float_as_int(length) >> 23, 27), 227);
+  return __int_as_float((254 - exponent) << 23);
+}
+
 /// A vector from `start` at t = 0 that changes by `change` until t = 1.
 struct Moving {
   float3 start, change;
   __device__ __forceinline__ float3 at(float t) const {
     return {start.x + t * change.x, start.y + t * change.y, start.z + t * change.z};
+  }
+  /// The same in a unit in which it is about 1 long.
+  __device__ __forceinline__ Moving scaled() const {
+    const float scale = scale_of(fmaxf(largest_of(start), largest_of(change)));
+    return {scale * start, scale * change};
   }
 };
 
@@ -30,8 +49,10 @@ struct Cubic {
   __device__ __forceinline__ float at(float t) const { return c0 + t * (c1 + t * (c2 + t * c3)); }
 };
 
-/// w(t) . (u(t) x v(t)).
-__device__ __forceinline__ Cubic triple_product(const Moving& w, const Moving& u, const Moving& v) {
+/// w(t) . (u(t) x v(t)), but for a positive factor.
+__device__ __forceinline__ Cubic triple_product(const Moving& w_any, const Moving& u_any,
+                                                const Moving& v_any) {
+  const Moving w = w_any.scaled(), u = u_any.scaled(), v = v_any.scaled();
   const float3 n0 = cross(u.start, v.start), n2 = cross(u.change, v.change);
   const float3 p = cross(u.start, v.change), q = cross(u.change, v.start);
   const float3 n1 = {p.x + q.x, p.y + q.y, p.z + q.z};

@@ -72,10 +72,14 @@ class Baseline {
 
   // Does the point where the lines of two coplanar edges cross lie on both edges?
   static bool meet(Vec3<Real> u, Vec3<Real> v, Vec3<Real> w) {
+    // In units in which u and v are about 1 long: products of six lengths would leave the range of float32.
+    const Real of_u = serial::scale_of(u), of_v = serial::scale_of(v);
+    u = of_u * u;
+    v = of_v * v;
     const Vec3<Real> n = cross(u, v);
     const Real nn = dot(n, n);
     if (nn <= Real(1e-12) * dot(u, u) * dot(v, v)) return false;
-    const Real s = dot(cross(w, v), n), r = dot(cross(w, u), n);  // times nn
+    const Real s = dot(cross(of_u * w, v), n), r = dot(cross(of_v * w, u), n);  // times nn
     return s >= 0 && s <= nn && r >= 0 && r <= nn;
   }
 };

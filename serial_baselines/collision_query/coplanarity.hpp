@@ -23,11 +23,25 @@ Vec3<Real> cross(Vec3<Real> a, Vec3<Real> b) {
   return {a.y * b.z - a.z * b.y, a.z * b.x - a.x * b.z, a.x * b.y - a.y * b.x};
 }
 
+/// The power of two that brings the largest coordinate of the vectors to between 1 and 2; 1 if all are zero.
+template <class Real, class... More>
+Real scale_of(Vec3<Real> a, More... more) {
+  Real largest = 0;
+  for (const Vec3<Real>& v : {a, more...})
+    largest = std::max({largest, std::abs(v.x), std::abs(v.y), std::abs(v.z)});
+  return largest == 0 ? Real(1) : std::ldexp(Real(1), -std::ilogb(largest));
+}
+
 /// A vector that moves linearly over the step: start + t change.
 template <class Real>
 struct Moving {
   Vec3<Real> start, change;
   Vec3<Real> at(Real t) const { return start + t * change; }
+  /// The same in a unit in which it is about 1 long.
+  Moving scaled() const {
+    const Real scale = scale_of(start, change);
+    return {scale * start, scale * change};
+  }
 };
 
 /// c[0] + c[1] t + c[2] t^2 + c[3] t^3.
@@ -37,9 +51,11 @@ struct Cubic {
   Real at(Real t) const { return c[0] + t * (c[1] + t * (c[2] + t * c[3])); }
 };
 
-/// w(t) . (u(t) x v(t)).
+/// w(t) . (u(t) x v(t)), but for a positive factor: its coefficients may be squared whatever the unit of
+/// length.
 template <class Real>
-Cubic<Real> triple_product(const Moving<Real>& w, const Moving<Real>& u, const Moving<Real>& v) {
+Cubic<Real> triple_product(const Moving<Real>& w_any, const Moving<Real>& u_any, const Moving<Real>& v_any) {
+  const Moving<Real> w = w_any.scaled(), u = u_any.scaled(), v = v_any.scaled();
   const Vec3<Real> n0 = cross(u.start, v.start);
   const Vec3<Real> n1 = cross(u.start, v.change) + cross(u.change, v.start);
   const Vec3<Real> n2 = cross(u.change, v.change);
