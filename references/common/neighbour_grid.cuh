@@ -61,7 +61,7 @@
 #include <cstddef>
 #include <cstdint>
 
-#include "core/module.hpp"
+#include "core/contract/module.hpp"
 #include "references/common/block_sum.cuh"
 #include "references/common/dependent_launch.cuh"
 #include "references/common/device_buffer.cuh"

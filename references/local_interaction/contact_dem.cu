@@ -37,7 +37,7 @@
 #include <type_traits>
 
 #include "cases/local_interaction/contact_dem.hpp"
-#include "core/module.hpp"
+#include "core/contract/module.hpp"
 #include "references/common/alignment.hpp"
 #include "references/common/approximate.cuh"
 #include "references/common/neighbour_grid.cuh"

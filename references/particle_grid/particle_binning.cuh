@@ -30,7 +30,7 @@
 #include <cstdint>
 #include <stdexcept>
 
-#include "core/module.hpp"
+#include "core/contract/module.hpp"
 #include "references/common/device_buffer.cuh"
 
 namespace gpuphys::particle_grid {
