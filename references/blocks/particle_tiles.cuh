@@ -46,11 +46,15 @@ namespace gpuphys::tiles {
 
 /// Tiles of SideX x SideY x SideZ cells for splines of order 1 (hat) or 2 (quadratic) on collocated nodes or
 /// on the faces of a MAC grid.
-template <int SideX, int SideY, int SideZ, int Order, bool Staggered>
+///
+/// Clamped: for gathers (locate_clamped()). A particle that no node reaches counts as one in the nearest cell that
+/// some node does reach: clamped to the array, all its nodes are the same, and its place in the cell is nothing.
+template <int SideX, int SideY, int SideZ, int Order, bool Staggered, bool Clamped = false>
 struct Tiling {
   static_assert(Order == 1 || Order == 2);
   static constexpr int order = Order;
   static constexpr bool staggered = Staggered;
+  static constexpr bool clamped = Clamped;
   static constexpr int lowest = Staggered ? -1 : 0;  ///< node reached, from the key
   static constexpr int highest = Order;
   static constexpr int reach = highest - lowest + 1;  ///< nodes from the lowest to the highest
@@ -102,9 +106,10 @@ TileGrid make_tile_grid(std::int64_t nx, std::int64_t ny, std::int64_t nz, float
 struct Place {
   int tile;         ///< -1: reaches no node of the array
   float offset[3];  ///< collocated: position from the tile's first node, in cells, Order/2 - 1/2 and more;
+                    ///< collocated and clamped: position from the nearest node, [-1/2, 1/2];
                     ///< staggered: position from the nearest whole cell's plane, [-1/2, 1/2], below 0 in the
                     ///< upper half of the cell
-  int cell;         ///< number of the cell in the tile, z fastest (collocated: cell_of() says)
+  int cell;         ///< number of the cell in the tile, z fastest (collocated: cell_of() says, unless clamped)
 };
 
 /// Position x in cells, less the whole number `cell`: as exact as float32 holds it, for any spacing.
@@ -121,8 +126,37 @@ __device__ __forceinline__ int whole(float x) {
   return __float2int_rd(fminf(fmaxf(x, -1e9f), 1e9f));
 }
 
+/// locate() of a gather: every particle has a tile and a cell. The remainder decides the cell, not the quotient, so
+/// that rounding never puts a particle a cell away from its place.
+template <class Tiling>
+__device__ __forceinline__ Place locate_clamped(const TileGrid& g, float x, float y, float z) {
+  const float position[3] = {x, y, z};
+  Place p;
+  int tile[3];
+  p.cell = 0;
+#pragma unroll
+  for (int d = 0; d < 3; ++d) {
+    const int side = Tiling::side(d);
+    const float cells = g.inverse_dx != 0.0f ? position[d] * g.inverse_dx : position[d] / g.dx;
+    const int nearest = whole(cells + 0.5f);  // half-way, either will do
+    const float from_nearest = g.inverse_dx != 0.0f ? cells - static_cast<float>(nearest)
+                                                    : beyond(g, position[d], nearest);
+    static_assert(Tiling::staggered || Tiling::order == 2, "of two nodes the lower one is not the nearest");
+    const int key = !Tiling::staggered || from_nearest < 0.0f ? nearest - 1 : nearest;
+    const int lowest = -Tiling::highest, highest = g.nodes[d] - Tiling::lowest - 1;
+    const unsigned from_first = static_cast<unsigned>(min(max(key, lowest), highest) - Tiling::first(d));
+    tile[d] = static_cast<int>(from_first / static_cast<unsigned>(side));
+    p.cell = p.cell * side + static_cast<int>(from_first % static_cast<unsigned>(side));
+    // A little more than a half where the quotient was rounded across: the splines go on smoothly.
+    p.offset[d] = fminf(fmaxf(from_nearest, -0.75f), 0.75f);
+  }
+  p.tile = g.tile(tile[0], tile[1], tile[2]);
+  return p;
+}
+
 template <class Tiling>
 __device__ __forceinline__ Place locate(const TileGrid& g, float x, float y, float z) {
+  if constexpr (Tiling::clamped) return locate_clamped<Tiling>(g, x, y, z);
   const float position[3] = {x, y, z};
   // Quotients, rounded alike in all passes over the particles: an inexact product could be fused differently.
   float in_cells[3];

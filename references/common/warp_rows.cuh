@@ -42,6 +42,23 @@ __device__ __forceinline__ void transpose_rows(float* __restrict__ stage, float 
   for (int s = 0; s < Width; ++s) values[s] = stage[lane * Width + s];
 }
 
+/// Writes the lanes' own rows, of the rows first .. first+31 of n, in whole lines. `stage` is free from the next
+/// __syncwarp() on.
+template <int Width>
+__device__ __forceinline__ void store_rows(float* __restrict__ rows, std::int64_t first, std::int64_t n,
+                                           float* __restrict__ stage, const float (&values)[Width]) {
+  const int lane = static_cast<int>(threadIdx.x) % 32;
+#pragma unroll
+  for (int s = 0; s < Width; ++s) stage[lane * Width + s] = values[s];
+  __syncwarp();
+  const std::int64_t left = Width * (n - first) - lane;
+  float* to = rows + Width * first + lane;
+#pragma unroll
+  for (int s = 0; s < Width; ++s) {
+    if (s * 32 < left) __stcs(to + s * 32, stage[s * 32 + lane]);
+  }
+}
+
 /// Writes the records of a warp, Quads float4 each, to their slots; a slot below 0 takes none. `packed` is
 /// the warp's shared memory, record `lane` at packed[Quads * lane]; whole records leave together, Quads lanes
 /// each.
