@@ -59,8 +59,9 @@ std::vector<Check> invariants_of(const Placement& s) {
         "tighter than the paper's bound, which is for 33 million particles: some ten terms a face round to "
         "1e-7";
     checks.push_back(as_invariant(relative_l2_check(name, kTight, why), name + "_rel_l2_tight", kTight, why));
-    checks.push_back(
-        as_invariant(local_error_check(name, kTightLocal, why), name + "_local_tight", kTightLocal, why));
+    // Nearly all faces of a long row are empty, so that the rms is small.
+    const double local = s.stress.starts_with("long") ? 4 * kTightLocal : kTightLocal;
+    checks.push_back(as_invariant(local_error_check(name, local, why), name + "_local_tight", local, why));
   }
   return checks;
 }
