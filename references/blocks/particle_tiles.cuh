@@ -1,10 +1,18 @@
-// Particles to tiles of 4^3 cells: counted, given a place in their tile's list, and the lists cut into pieces
-// of bounded length for the blocks of a scatter. Nodes are kept in blocks of 4^3 that go with the tiles.
+// Building block: particles to tiles of cells, the first half of a particle-to-grid transfer. Particles are
+// counted by tile, each gets a place in its tile's list, and the lists are cut into pieces of bounded length
+// for the blocks of a scatter (tile_sums.cuh has what those do with them). Node sums are kept in blocks of
+// nodes that go with the tiles.
 //
-// A particle belongs to the lowest of the three nodes it reaches along each axis, base = floor(x/dx - 1/2),
-// which runs from -2 (only the upper node lies in the array) to nodes - 1. Tile t holds the bases 4t-2 ..
-// 4t+1, reaches the nodes 4t-2 .. 4t+3, and node block t holds the nodes 4t-2 .. 4t+1: a tile writes to its
-// own node block and to the seven with one more along some axes.
+// Tiling<...> says which cells there are: the spline's order and whether samples are staggered decide what a
+// particle reaches. Along an axis, with g = x/dx:
+//
+//   collocated, order 2   key floor(g - 1/2), reaches nodes key .. key + 2
+//   collocated, order 1   key floor(g),       reaches nodes key, key + 1
+//   staggered, order 2    key floor(g),       reaches samples key - 1 .. key + 2 of one component or another
+//   staggered, order 1    key floor(g),       reaches samples key - 1 .. key + 1
+//
+// Tile t holds the keys first + Side t .. + Side - 1; node block t holds the nodes that begin `lowest` (0 or
+// -1) below them, so that a tile writes to its own node block and to the seven with one more along some axes.
 //
 // No sort. Each particle gets a slot of its tile's list, in four passes without an atomic at L2 for all but
 // a few:
@@ -13,9 +21,9 @@
 //                    looks its particles' tiles up and counts them, all in shared memory
 //   plan_tiles       adds up the parts' counts, reserves slots, gives each part its first slot of each tile
 //   assign_slots     a block a part again: slots from counters in shared memory
-// and whoever writes the records reads the slots. Particles whose tile the sample missed, or for whose tile
-// shared memory had no counter, are counted at L2 and take their slots there. The lists lie in memory in
-// whatever order the blocks of plan_tiles() come to reserve them.
+// and whoever writes the records reads the slots. The overflow path: particles whose tile the sample missed,
+// or for whose tile shared memory had no counter, are counted at L2 and take their slots there (slot_of()).
+// The lists lie in memory in whatever order the blocks of plan_tiles() come to reserve them.
 //
 // Why the slots go through memory (4 bytes written and read) and not straight into the records: the writer of
 // the records goes through the particles in order, with all SMs in the same part of them at a time, so that
@@ -32,49 +40,123 @@
 
 #include "core/contract/module.hpp"
 #include "references/common/device_buffer.cuh"
+#include "references/common/vector_reduction.cuh"
 
-namespace gpuphys::particle_grid {
+namespace gpuphys::tiles {
 
-inline constexpr int kTileSide = 4;
-inline constexpr int kTileNodes = kTileSide * kTileSide * kTileSide;
+/// Tiles of SideX x SideY x SideZ cells for splines of order 1 (hat) or 2 (quadratic) on collocated nodes or
+/// on the faces of a MAC grid.
+///
+/// Clamped: for gathers (locate_clamped()). A particle that no node reaches counts as one in the nearest cell that
+/// some node does reach: clamped to the array, all its nodes are the same, and its place in the cell is nothing.
+template <int SideX, int SideY, int SideZ, int Order, bool Staggered, bool Clamped = false>
+struct Tiling {
+  static_assert(Order == 1 || Order == 2);
+  static constexpr int order = Order;
+  static constexpr bool staggered = Staggered;
+  static constexpr bool clamped = Clamped;
+  static constexpr int lowest = Staggered ? -1 : 0;  ///< node reached, from the key
+  static constexpr int highest = Order;
+  static constexpr int reach = highest - lowest + 1;  ///< nodes from the lowest to the highest
+  static constexpr int cells = SideX * SideY * SideZ;
+  __host__ __device__ static constexpr int side(int d) { return d == 0 ? SideX : d == 1 ? SideY : SideZ; }
+  /// Key of tile 0's first cell. Staggered: a tile begins at cell 0, as the blocks of particles often do.
+  __host__ __device__ static constexpr int first(int d) { return Staggered ? -side(d) : -Order; }
+  static_assert(SideX >= highest && SideY >= highest && SideZ >= highest && SideX > highest - lowest - 1);
+};
 
 struct TileGrid {
-  int nodes[3];  ///< of the array
+  int nodes[3];  ///< along each axis; of a MAC grid the most that any component has: cells + 1
   int tiles[3];
   float dx;
   float inverse_dx;  ///< of a power of two, whose products are the quotients by dx; else 0
+  float dx_high,
+      dx_low;  ///< dx in two parts of 12 bits: their products with 12 bits of a cell's number are exact
 
   __host__ __device__ int tile_count() const { return tiles[0] * tiles[1] * tiles[2]; }
   __device__ __forceinline__ int tile(int x, int y, int z) const { return (x * tiles[1] + y) * tiles[2] + z; }
 };
 
 /// Throws std::runtime_error for an array that is too large for 32-bit node numbers.
-inline TileGrid make_tile_grid(std::int64_t nx, std::int64_t ny, std::int64_t nz, float dx) {
+template <class Tiling>
+TileGrid make_tile_grid(std::int64_t nx, std::int64_t ny, std::int64_t nz, float dx) {
   TileGrid g{};
   const std::int64_t n[3] = {nx, ny, nz};
-  double nodes = kTileNodes;
+  double nodes = Tiling::cells;
   for (int d = 0; d < 3; ++d) {
     if (n[d] < 1 || n[d] >= (1 << 24))
-      throw std::runtime_error("the array must have 1 to 2^24 - 1 nodes an axis");
+      throw std::runtime_error("the array must have 1 to 2^24 - 1 nodes along each axis");
     g.nodes[d] = static_cast<int>(n[d]);
-    g.tiles[d] = (g.nodes[d] + 1) / kTileSide + 1;
+    const int keys = g.nodes[d] - Tiling::lowest - Tiling::first(d);
+    g.tiles[d] = (keys + Tiling::side(d) - 1) / Tiling::side(d);
     nodes *= g.tiles[d];
   }
   if (nodes >= 2147483648.0)
     throw std::runtime_error("the array must have fewer than 2^31 nodes in whole tiles");
   g.dx = dx;
   int exponent = 0;
-  const bool power_of_two = std::frexp(dx, &exponent) == 0.5f && std::abs(exponent) < 100;
+  const float mantissa = std::frexp(dx, &exponent);
+  const bool power_of_two = mantissa == 0.5f && std::abs(exponent) < 100;
   g.inverse_dx = power_of_two ? 1.0f / dx : 0.0f;
+  g.dx_high = std::ldexp(std::floor(std::ldexp(mantissa, 12)), exponent - 12);
+  g.dx_low = dx - g.dx_high;
   return g;
 }
 
 struct Place {
   int tile;         ///< -1: reaches no node of the array
-  float offset[3];  ///< position from node 4t-2 of the tile, in cells: [1/2, 9/2]
+  float offset[3];  ///< collocated: position from the tile's first node, in cells, Order/2 - 1/2 and more;
+                    ///< collocated and clamped: position from the nearest node, [-1/2, 1/2];
+                    ///< staggered: position from the nearest whole cell's plane, [-1/2, 1/2], below 0 in the
+                    ///< upper half of the cell
+  int cell;         ///< number of the cell in the tile, z fastest (collocated: cell_of() says, unless clamped)
 };
 
+/// Position x in cells, less the whole number `cell`: as exact as float32 holds it, for any spacing.
+__device__ __forceinline__ float beyond(const TileGrid& g, float x, int cell) {
+  const int high = cell / 4096 * 4096, low = cell - high;
+  const float a = static_cast<float>(high), b = static_cast<float>(low);
+  // Every product is exact, and the differences are so small that they are too.
+  const float left = ((x - a * g.dx_high) - b * g.dx_high) - a * g.dx_low - b * g.dx_low;
+  return left / g.dx;
+}
+
+/// A whole number from a float; what no integer holds becomes one that is far outside of every array.
+__device__ __forceinline__ int whole(float x) {
+  return __float2int_rd(fminf(fmaxf(x, -1e9f), 1e9f));
+}
+
+/// locate() of a gather: every particle has a tile and a cell. The remainder decides the cell, not the quotient, so
+/// that rounding never puts a particle a cell away from its place.
+template <class Tiling>
+__device__ __forceinline__ Place locate_clamped(const TileGrid& g, float x, float y, float z) {
+  const float position[3] = {x, y, z};
+  Place p;
+  int tile[3];
+  p.cell = 0;
+#pragma unroll
+  for (int d = 0; d < 3; ++d) {
+    const int side = Tiling::side(d);
+    const float cells = g.inverse_dx != 0.0f ? position[d] * g.inverse_dx : position[d] / g.dx;
+    const int nearest = whole(cells + 0.5f);  // half-way, either will do
+    const float from_nearest = g.inverse_dx != 0.0f ? cells - static_cast<float>(nearest)
+                                                    : beyond(g, position[d], nearest);
+    static_assert(Tiling::staggered || Tiling::order == 2, "of two nodes the lower one is not the nearest");
+    const int key = !Tiling::staggered || from_nearest < 0.0f ? nearest - 1 : nearest;
+    const int lowest = -Tiling::highest, highest = g.nodes[d] - Tiling::lowest - 1;
+    const unsigned from_first = static_cast<unsigned>(min(max(key, lowest), highest) - Tiling::first(d));
+    tile[d] = static_cast<int>(from_first / static_cast<unsigned>(side));
+    p.cell = p.cell * side + static_cast<int>(from_first % static_cast<unsigned>(side));
+    // A little more than a half where the quotient was rounded across: the splines go on smoothly.
+    p.offset[d] = fminf(fmaxf(from_nearest, -0.75f), 0.75f);
+  }
+  p.tile = g.tile(tile[0], tile[1], tile[2]);
+  return p;
+}
+
+template <class Tiling>
 __device__ __forceinline__ Place locate(const TileGrid& g, float x, float y, float z) {
+  if constexpr (Tiling::clamped) return locate_clamped<Tiling>(g, x, y, z);
   const float position[3] = {x, y, z};
   // Quotients, rounded alike in all passes over the particles: an inexact product could be fused differently.
   float in_cells[3];
@@ -88,31 +170,40 @@ __device__ __forceinline__ Place locate(const TileGrid& g, float x, float y, flo
   Place p;
   int tile[3];
   bool reaches = true;
+  p.cell = 0;
 #pragma unroll
   for (int d = 0; d < 3; ++d) {
+    constexpr float shift = Tiling::staggered || Tiling::order == 1 ? 0.0f : 0.5f;
+    const int side = Tiling::side(d), first = Tiling::first(d);
     const float cells = in_cells[d];
-    // Whole cells from the lowest base on; what no integer holds becomes the largest or smallest of them.
-    const unsigned from_lowest = static_cast<unsigned>(__float2int_rd(cells - 0.5f)) + 2u;
-    reaches = reaches && from_lowest < static_cast<unsigned>(g.nodes[d]) + 2u;
-    tile[d] = static_cast<int>(from_lowest / kTileSide);
-    p.offset[d] = cells - static_cast<float>(static_cast<int>(from_lowest / kTileSide * kTileSide - 2u));
+    const int key = whole(cells - shift);
+    reaches = reaches && key >= -Tiling::highest && key < g.nodes[d] - Tiling::lowest;
+    const unsigned from_first = static_cast<unsigned>(key - first);
+    tile[d] = static_cast<int>(from_first / static_cast<unsigned>(side));
+    if constexpr (Tiling::staggered) {
+      p.cell = p.cell * side + static_cast<int>(from_first % static_cast<unsigned>(side));
+      // The difference of two floats near each other is exact.
+      const float whole_cells = static_cast<float>(key);
+      const bool upper = cells - whole_cells >= 0.5f;
+      p.offset[d] = g.inverse_dx != 0.0f ? cells - (upper ? whole_cells + 1.0f : whole_cells)
+                                         : beyond(g, position[d], upper ? key + 1 : key);
+      // Where the quotient was rounded across a plane.
+      p.offset[d] = upper ? fminf(p.offset[d], -0x1p-30f) : fmaxf(p.offset[d], 0.0f);
+    } else {
+      p.offset[d] = cells - static_cast<float>(tile[d] * side + first);
+    }
   }
   p.tile = reaches ? g.tile(tile[0], tile[1], tile[2]) : -1;
   return p;
 }
 
-/// Which of a tile's four cells along an axis an offset lies in. Rounding may put an offset on the upper end.
-__device__ __forceinline__ int cell_of(float offset) {
-  return static_cast<int>(min(static_cast<unsigned>(offset - 0.5f), kTileSide - 1u));
-}
-
-/// *sum += value, 16 bytes in one reduction at L2 (sm_90). Spelled out, because atomicAdd(float4*) asks for
-/// the old value as well.
-__device__ __forceinline__ void reduce_add(float4* sum, const float4& value) {
-  asm volatile("red.global.add.v4.f32 [%0], {%1, %2, %3, %4};"
-               :
-               : "l"(sum), "f"(value.x), "f"(value.y), "f"(value.z), "f"(value.w)
-               : "memory");
+/// Collocated: which of a tile's cells along an axis an offset lies in. Rounding may put an offset on the
+/// upper end.
+template <class Tiling>
+__device__ __forceinline__ int cell_of(int axis, float offset) {
+  constexpr float shift = Tiling::order == 1 ? 0.0f : 0.5f;
+  return static_cast<int>(
+      min(static_cast<unsigned>(offset - shift), static_cast<unsigned>(Tiling::side(axis) - 1)));
 }
 
 /// The tile in whose list particle p of n at `place` gets a slot, or -1. Both passes over the particles ask
@@ -176,14 +267,14 @@ __device__ __forceinline__ int sum_below(int own, int (&warp_totals)[Threads / 3
 }
 
 /// Marks the tiles of a sample: each `Stride`-th row of 32 particles. A thread a particle.
-template <int Threads, int Stride>
+template <class Tiling, int Threads, int Stride>
 __global__ void __launch_bounds__(Threads)
     mark_tiles(const __grid_constant__ TileGrid grid, const __grid_constant__ BinningView bins,
                const float* __restrict__ x, std::int64_t n) {
   const std::int64_t thread = static_cast<std::int64_t>(blockIdx.x) * Threads + threadIdx.x;
   const std::int64_t p = thread / 32 * (32 * Stride) + thread % 32;
   if (p >= n) return;
-  const int tile = listed_tile(locate(grid, x[3 * p], x[3 * p + 1], x[3 * p + 2]), p, n);
+  const int tile = listed_tile(locate<Tiling>(grid, x[3 * p], x[3 * p + 1], x[3 * p + 2]), p, n);
   if (tile < 0 || tile / 32 >= bins.words) return;
   bins.sampled[tile] = 1;  // whoever comes: nothing to ask for first, and no atomic
 }
@@ -202,7 +293,7 @@ inline std::size_t count_shared_bytes(const BinningView& bins) {
 
 /// A block a part: counts its particles by tile in shared memory, into its row, and numbers the marked tiles.
 /// Particles of tiles without a place in the row are counted in `counts`.
-template <int Threads>
+template <class Tiling, int Threads>
 __global__ void __launch_bounds__(Threads)
     count_particles(const __grid_constant__ TileGrid grid, const __grid_constant__ BinningView bins,
                     const float* __restrict__ x, std::int64_t n) {
@@ -235,7 +326,7 @@ __global__ void __launch_bounds__(Threads)
   const std::int64_t end = begin + bins.part_size < n ? begin + bins.part_size : n;
   // A thread for four particles in a row.
   const auto index_of = [&](float px, float py, float pz, std::int64_t p) {
-    const int tile = listed_tile(locate(grid, px, py, pz), p, n);
+    const int tile = listed_tile(locate<Tiling>(grid, px, py, pz), p, n);
     int index = kMostIndexed;
     if (tile >= 0 && tile / 32 < bins.words) {
       const unsigned word = marks[tile / 32], bit = 1u << (tile % 32);
@@ -314,9 +405,9 @@ __global__ void __launch_bounds__(Threads)
 }
 
 /// Reserves record slots for each tile, cuts its list into pieces of at most `piece`, marks the node blocks
-/// that the tiles write to, and clears those (`accumulators`: 64 float4 a block). One thread a tile: the
-/// pieces of a block's tiles follow each other as the tiles do, first along z.
-template <int Threads>
+/// that the tiles write to, and clears those (`accumulators`: Quads float4 a node block). One thread a tile:
+/// the pieces of a block's tiles follow each other as the tiles do, first along z.
+template <class Tiling, int Threads, int Quads>
 __global__ void __launch_bounds__(Threads)
     plan_tiles(const __grid_constant__ TileGrid grid, const __grid_constant__ BinningView bins, int piece,
                float4* __restrict__ accumulators) {
@@ -412,9 +503,18 @@ __global__ void __launch_bounds__(Threads)
   }
   for (unsigned left = __ballot_sync(0xffffffffu, touched); left != 0; left &= left - 1) {
     const int block = tile - lane + __ffs(static_cast<int>(left)) - 1;
-    float4* nodes = accumulators + static_cast<std::size_t>(block) * kTileNodes;
-    for (int i = lane; i < kTileNodes; i += 32) nodes[i] = make_float4(0.0f, 0.0f, 0.0f, 0.0f);
+    float4* nodes = accumulators + static_cast<std::size_t>(block) * Quads;
+    for (int i = lane; i < Quads; i += 32) nodes[i] = make_float4(0.0f, 0.0f, 0.0f, 0.0f);
   }
+}
+
+/// The slot of particle p of n at `place`: from assign_slots(), or asked for now; -1 for none.
+__device__ __forceinline__ int slot_of(const BinningView& bins, const Place& place, std::int64_t p,
+                                       std::int64_t n) {
+  int slot = p < n ? __ldcs(bins.slots + p) : kNoSlot;
+  const int tile = listed_tile(place, p, n);
+  if (slot < 0 && tile >= 0) slot = atomicAdd(bins.next + tile, 1);
+  return slot;
 }
 
 /// Owns the memory of a BinningView.
@@ -479,4 +579,4 @@ class Binning {
   BinningView view_{};
 };
 
-}  // namespace gpuphys::particle_grid
+}  // namespace gpuphys::tiles
