@@ -2,7 +2,7 @@
 //
 // For every grain: the grains that overlap it, found through a uniform grid, and the sum of their forces.
 //
-// Mapping: the grains are sorted by cell (references/common/neighbour_grid.cuh) as records of one sector:
+// Mapping: the grains are sorted by cell (references/blocks/neighbour_grid.cuh) as records of one sector:
 // position, radius, velocity, index; the result is two arrays, spheres and motions. Each sphere is written
 // again as a code of four bytes for the search. A thread owns one grain in the sorted order, so a warp owns a
 // stretch of one column of cells and its candidates of another column are a short run of codes. Every pair is
@@ -38,9 +38,10 @@
 
 #include "cases/local_interaction/contact_dem.hpp"
 #include "core/module.hpp"
+#include "references/blocks/neighbour_grid.cuh"
 #include "references/common/alignment.hpp"
 #include "references/common/approximate.cuh"
-#include "references/common/neighbour_grid.cuh"
+#include "references/common/machine.cuh"
 
 namespace gpuphys::contact_dem {
 namespace {
@@ -48,10 +49,9 @@ namespace {
 #ifdef GPUPHYS_OTHER_BLOCKS
 struct GridPolicy : neighbour_grid::DefaultPolicy {
   static constexpr int bounds_threads = 256;
-  static constexpr int bounds_blocks = 96;
+  static constexpr int bounds_blocks_per_sm = 1;
   static constexpr int split_threads = 128;
   static constexpr int split_each = 2;
-  static constexpr int split_blocks = 40;
   static constexpr int split_blocks_per_sm = 8;
   static constexpr int bin_cells = 384;
   static constexpr int bin_items = 352;
@@ -81,7 +81,7 @@ struct Policy {
 };
 #endif
 
-constexpr int columns = neighbour_grid::columns_at_a_time;
+constexpr int columns = neighbour_grid::kColumns;
 static_assert(Policy::run <= 32 && (Policy::run - Policy::at_once) % Policy::more == 0);
 static_assert(Policy::queue >= columns && Policy::threads % 32 == 0);
 // Codes behind the last grain's: they may be read, but are not grains.
@@ -170,8 +170,7 @@ struct Grains {
                                               : ufirst + 4u * (piece - piece_r);
       const unsigned last = piece < piece_r ? 3u * uend : uend;
       const unsigned bytes = word < last ? min(4u * (last - word), 16u) : 0u;
-      if (piece < pieces)
-        neighbour_grid::copy_async(chunk + 4u * piece, array + (bytes > 0u ? word : 0u), bytes);
+      if (piece < pieces) copy_async(chunk + 4u * piece, array + (bytes > 0u ? word : 0u), bytes);
     }
   }
   __device__ __forceinline__ Grain record(const float* chunk, int i) const {
@@ -228,33 +227,6 @@ __device__ __forceinline__ unsigned bit_or_none(int k) {
   return __funnelshift_lc(0u, 1u, static_cast<unsigned>(k));
 }
 
-// The compiler does not know that this is k.
-__device__ __forceinline__ int opaque(int k) {
-  asm volatile("" : "+r"(k));
-  return k;
-}
-
-// Number of the highest bit set.
-__device__ __forceinline__ int highest_bit(int bits) {
-  int k;
-  asm("bfind.u32 %0, %1;" : "=r"(k) : "r"(bits));
-  return k;
-}
-
-// The queue by its address in shared memory, which the compiler would otherwise derive anew at every access,
-// and wait for. Volatile: in this order.
-__device__ __forceinline__ unsigned shared_address(const void* p) {
-  return static_cast<unsigned>(opaque(static_cast<int>(__cvta_generic_to_shared(p))));
-}
-__device__ __forceinline__ void store_shared(unsigned address, int2 entry) {
-  asm volatile("st.shared.v2.b32 [%0], {%1, %2};" ::"r"(address), "r"(entry.x), "r"(entry.y));
-}
-__device__ __forceinline__ int2 load_shared(unsigned address) {
-  int2 entry;
-  asm volatile("ld.shared.v2.b32 {%0, %1}, [%2];" : "=r"(entry.x), "=r"(entry.y) : "r"(address));
-  return entry;
-}
-
 __global__ void __launch_bounds__(Policy::threads, Policy::blocks_per_sm)
     sum_contacts(const float4* spheres, const float4* motions, const unsigned* codes,
                  const neighbour_grid::Grid* grid_in, const int* start, float* result, Law law, int count) {
@@ -276,7 +248,7 @@ __global__ void __launch_bounds__(Policy::threads, Policy::blocks_per_sm)
     // Candidates of a column with hits: the slot behind the last one, and a bit a hit. Entries thread, thread
     // + threads, ... of the queue are this thread's own; `top` is the next free one.
     constexpr unsigned stride = Policy::threads * sizeof(int2);
-    const unsigned mine = shared_address(queue + thread);
+    const SharedAddress mine = shared_address(queue + thread);
     unsigned top = 0;
     const auto evaluate = [&]([[maybe_unused]] auto two_at_once) {
       // Loaded again, as the search has no registers to spare.
