@@ -14,8 +14,9 @@ struct NormalLaw {
 /// What one grain meets in another. Where they do not touch, `push` is 0 and the rest is finite.
 struct Contact {
   float3 normal;  // towards the grain
-  float overlap, distance;
-  float push;  // the force along the normal
+  float overlap;
+  float separation;  // its speed
+  float push;        // the force along the normal
 };
 
 /// Of the grain (sphere, motion) with another one. Neither the grain itself nor one with the same centre
@@ -39,7 +40,7 @@ __device__ __forceinline__ Contact normal_contact(const float4& sphere, const fl
   const float reduced_radius = sphere.w * other.w * approximate_inverse(reach);
   const float spread = approximate_sqrt(reduced_radius * overlap);
   const float push = fmaxf(spread * (law.kn * overlap - law.cn * separation), 0.0f);
-  return {{nx, ny, nz}, overlap, distance, push};
+  return {{nx, ny, nz}, overlap, separation, push};
 }
 
 }  // namespace gpuphys::granular
