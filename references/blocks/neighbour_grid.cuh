@@ -1,31 +1,49 @@
 // Neighbour search on the device: items sorted by the cells of a uniform grid, for any payload and any
 // cut-off.
 //
+// In short, for points that meet others within `reach`:
+//
+//     neighbour_grid::NeighbourGrid<> grid;                      // a member of the solver
+//     grid.allocate<neighbour_grid::Points>(n);                  // in allocate()
+//     split = DeviceBuffer<float4>(grid.records(n));
+//     sorted = DeviceBuffer<float4>(n);
+//     grid.build(neighbour_grid::Points{x, reach, split.get(), sorted.get(), n});          // in compute()
+//     kernel<<<...>>>(grid.grid(), grid.start(), sorted.get(), ...);
+//
+// and in the kernel, where sorted[slot] is (x, y, z, index in the input as bits):
+//
+//     visit_columns(grid, start, position, reach, [&](int begin, int end) {    // slots [begin, end)
+//       for (int slot = begin; slot < end; ++slot) ...                         // those within reach, and
+//       others
+//     });
+//
 // A build sorts in two levels and is three launches, each prepared during the one before
 // (dependent_launch.cuh), without a round trip to the host:
 //   1. find_bounds   bounding box and largest radius; its last block chooses the grid.
 //   2. split_items   every bin, a range of `bin_cells` cells, has room for `bin_items` records. A block takes
 //                    its items in tiles: it counts a tile by bins in shared memory, reserves the next places
-//                    in each (one atomic a bin and tile, neighbouring bins by neighbouring lanes), and
+//                    in each (one atomic per bin and tile, neighbouring bins by neighbouring lanes), and
 //                    writes the records there, straight from registers. What finds no room goes to a common
 //                    list.
-//   3. sort_bins     a block a bin: counts the bin's cells, writes their starts, and its records in order.
+//   3. sort_bins     a block per bin: counts the bin's cells, writes their starts, and its records in order.
 //                    All in shared memory, and each record is ranked once; a bin with more than
 //                    `bin_items` goes through global memory instead, and looks for the rest in the list.
 // Cells are contiguous along z, so that the cells [z0, z1] of one column are one range of slots:
 // [start[row + z0], start[row + z1 + 1]).
 //
-// Neighbours are searched by visiting the cells of position -/+ cut-off (visit_ranges()). Cell numbers come
-// from one function that is monotone in the coordinate, rounding included, so no pair within the cut-off can
-// be missed, whatever the edges are: they are a matter of speed alone. Where the box is too large for
-// `capacity` cells of the wished size, cells are enlarged.
+// Neighbours are searched by visiting the cells of position -/+ cut-off: visit_columns(), or visit_ranges()
+// where three columns at a time pay. Cell numbers come from one function that is monotone in the coordinate,
+// rounding included, so no pair within the cut-off can be missed, whatever the edges are: they are a matter
+// of speed alone. Where the box is too large for `capacity` cells of the wished size, cells are enlarged.
 //
-// What a user supplies is a Source, copied to the kernels by value:
+// What a user supplies is a Source, copied to the kernels by value (Points is one):
 //   int count;                                     number of items, >= 1
-//   __device__ const float* positions() const;     x, y and z of item 0, of item 1, ...; and
-//   __device__ const float* radii() const;         half the cut-off of each with one of its own size. Both
-//                                                  aligned to 16 bytes, as is what prefetch() copies
-//   using Record;                                  payload of an item: 32 bytes, aligned to as many
+//   __device__ const float* positions() const;     x, y and z of item 0, of item 1, ...; aligned to 16 bytes,
+//                                                  as is what prefetch() copies
+//   __device__ const float* radii() const;         half the cut-off of each with one of its own size, aligned
+//                                                  likewise; or, if it is the same for all:
+//   __device__ float radius() const;
+//   using Record;                                  payload of an item: 16 or 32 bytes, aligned to as many
 //   static constexpr int chunk_floats;             of shared memory for 32 items, a multiple of four
 //   __device__ void prefetch(float* chunk, int first, int end) const;
 //                                                  by a whole warp: has copy_async() bring the items from
@@ -60,23 +78,24 @@
 #include <algorithm>
 #include <cstddef>
 #include <cstdint>
+#include <stdexcept>
 
 #include "core/contract/module.hpp"
 #include "references/common/block_sum.cuh"
 #include "references/common/dependent_launch.cuh"
 #include "references/common/device_buffer.cuh"
+#include "references/common/machine.cuh"
 
 namespace gpuphys::neighbour_grid {
 
 /// Tuning. Users may pass a class of their own with the same members.
 struct DefaultPolicy {
   static constexpr int bounds_threads = 512;
-  static constexpr int bounds_blocks = 3 * 132;  // one wave
+  static constexpr int bounds_blocks_per_sm = 3;  // one wave
   static constexpr int split_threads = 768;
-  static constexpr int split_each = 3;          // items of a thread in a tile
-  static constexpr int split_blocks = 2 * 132;  // one wave
-  static constexpr int split_blocks_per_sm = 2;
-  static constexpr int bin_cells = 1024;  // a multiple of four
+  static constexpr int split_each = 3;           // items of a thread in a tile
+  static constexpr int split_blocks_per_sm = 2;  // one wave
+  static constexpr int bin_cells = 1024;         // a multiple of four
   static constexpr int bin_items = 1792;  // that fit in a bin's place, and in shared memory; at most 2^16
   static constexpr int bin_threads = 512;
   static constexpr int bin_blocks_per_sm = 3;
@@ -98,37 +117,22 @@ struct Grid {
 
 /// Number along `axis` of the cell that holds coordinate `x`; the outermost cells extend to infinity.
 /// Monotone in x. A difference before the product, so nothing here can be contracted and all kernels agree.
-__device__ __forceinline__ int cell_along(const Grid& grid, int axis, float x) {
+__host__ __device__ __forceinline__ int cell_along(const Grid& grid, int axis, float x) {
   const float t = (x - grid.low[axis]) * grid.inverse_edge[axis];
   return static_cast<int>(fminf(fmaxf(t, 0.0f), static_cast<float>(grid.cells[axis] - 1)));
 }
 
-__device__ __forceinline__ int cell_of(const Grid& grid, float3 p) {
+__host__ __device__ __forceinline__ int cell_of(const Grid& grid, float3 p) {
   return (cell_along(grid, 0, p.x) * grid.cells[1] + cell_along(grid, 1, p.y)) * grid.cells[2] +
          cell_along(grid, 2, p.z);
 }
 
-/// 16 bytes to shared memory without a register between: a loop of these has all of them under way.
-__device__ __forceinline__ void copy_async(float4* to, const float4* from) {
-  asm volatile(
-      "cp.async.cg.shared.global [%0], [%1], 16;" ::"r"(static_cast<unsigned>(__cvta_generic_to_shared(to))),
-      "l"(from)
-      : "memory");
-}
-/// Likewise of the first `bytes` of the 16 only, and zeroes behind them.
-__device__ __forceinline__ void copy_async(float* to, const float* from, unsigned bytes) {
-  asm volatile("cp.async.cg.shared.global [%0], [%1], 16, %2;" ::"r"(
-                   static_cast<unsigned>(__cvta_generic_to_shared(to))),
-               "l"(from), "r"(bytes)
-               : "memory");
-}
-
 /// Columns of cells that visit_ranges() hands over at a time.
-constexpr int columns_at_a_time = 3;
+constexpr int kColumns = 3;
 
 /// The slots [begin, end) of each; some may be empty.
 struct Ranges {
-  int begin[columns_at_a_time], end[columns_at_a_time];
+  int begin[kColumns], end[kColumns];
 };
 
 /// Calls visit(Ranges) so that the ranges hold every item within `cutoff` of `p` along each axis (and
@@ -145,7 +149,7 @@ __device__ __forceinline__ void visit_ranges(const Grid& grid, const int* start,
   const int first_x = min(x0, cell_along(grid, 0, p.x) - 1), first_y = min(y0, cell_along(grid, 1, p.y) - 1);
   const int width = z1 + 1 - z0, next_y = grid.cells[2];
   for (int x = first_x; x <= x1; ++x) {
-    for (int y = first_y; y <= y1; y += columns_at_a_time) {
+    for (int y = first_y; y <= y1; y += kColumns) {
       bool again;
       int skipped = 0;
       do {
@@ -154,7 +158,7 @@ __device__ __forceinline__ void visit_ranges(const Grid& grid, const int* start,
         const int first = (x * grid.cells[1] + y) * next_y + z0;
         Ranges ranges;
 #pragma unroll
-        for (int c = 0; c < columns_at_a_time; ++c) {
+        for (int c = 0; c < kColumns; ++c) {
           const bool seen = x >= x0 && y + c >= y0 && y + c <= y1;
           // Loads without a condition take fewer instructions.
           const unsigned from = seen ? static_cast<unsigned>(first + c * next_y) : 0u;
@@ -171,6 +175,51 @@ __device__ __forceinline__ void visit_ranges(const Grid& grid, const int* start,
   }
 }
 
+/// Calls visit(begin, end) for ranges of slots that hold every item within `cutoff` of `p` along each axis
+/// (and others), each once; ranges may be empty. `p` need not be an item.
+template <class Visit>
+__device__ __forceinline__ void visit_columns(const Grid& grid, const int* start, float3 p, float cutoff,
+                                              Visit&& visit) {
+  const int x0 = cell_along(grid, 0, p.x - cutoff), x1 = cell_along(grid, 0, p.x + cutoff);
+  const int y0 = cell_along(grid, 1, p.y - cutoff), y1 = cell_along(grid, 1, p.y + cutoff);
+  const int z0 = cell_along(grid, 2, p.z - cutoff), z1 = cell_along(grid, 2, p.z + cutoff);
+  for (int x = x0; x <= x1; ++x) {
+    for (int y = y0; y <= y1; ++y) {
+      const int row = (x * grid.cells[1] + y) * grid.cells[2];
+      visit(start[row + z0], start[row + z1 + 1]);
+    }
+  }
+}
+
+/// The Source of points without a payload that all have the same reach: two meet within it. A record is the
+/// position and, as bits, the index in the input.
+struct Points {
+  using Record = float4;
+  const float* __restrict__ x;  // (count, 3), aligned to 16 bytes
+  float reach;
+  float4* __restrict__ split;
+  float4* __restrict__ sorted;
+  int count;
+
+  __device__ __forceinline__ const float* positions() const { return x; }
+  __device__ __forceinline__ float radius() const { return 0.5f * reach; }
+  static constexpr int chunk_floats = 3 * 32;
+  __device__ __forceinline__ void prefetch(float* chunk, int first, int end) const {
+    const unsigned piece = threadIdx.x % 32, word = 3u * static_cast<unsigned>(first) + 4u * piece;
+    const unsigned last = 3u * static_cast<unsigned>(end);
+    const unsigned bytes = word < last ? min(4u * (last - word), 16u) : 0u;
+    if (piece < chunk_floats / 4) copy_async(chunk + 4u * piece, x + (bytes > 0u ? word : 0u), bytes);
+  }
+  __device__ __forceinline__ float4 record(const float* chunk, int i) const {
+    const float* const own = chunk + 3u * (threadIdx.x % 32);
+    return make_float4(own[0], own[1], own[2], __int_as_float(i));
+  }
+  __device__ __forceinline__ float3 position(const float4& record) const {
+    return {record.x, record.y, record.z};
+  }
+  __device__ __forceinline__ void placed(const Grid&, int, const float4&) const {}
+};
+
 namespace detail {
 
 /// Extremes of a set of items.
@@ -179,7 +228,14 @@ struct Bounds {
 };
 
 // Words of 16 bytes in a record.
-constexpr int record_words = 2;
+template <class Source>
+constexpr int record_words = static_cast<int>(sizeof(typename Source::Record) / sizeof(float4));
+
+// Whether items have radii of their own.
+template <class Source>
+concept HasRadii = requires(const Source& s) {
+  s.radii();
+};
 
 // What the blocks of find_bounds share. As initialised when the module is loaded and between builds, for
 // which no memory has to be set beforehand; builds of one module must not overlap (they all go to the default
@@ -206,11 +262,6 @@ __device__ __forceinline__ int bins_of(const Grid& grid) {
   return (grid.total + Policy::bin_cells - 1) / Policy::bin_cells;
 }
 
-// For the thread's own copies.
-__device__ __forceinline__ void wait_for_copies() {
-  asm volatile("cp.async.wait_all;" ::: "memory");
-}
-
 __device__ __forceinline__ Bounds empty_bounds() {
   const float inf = __int_as_float(0x7f800000);
   return {{inf, inf, inf}, {-inf, -inf, -inf}, inf, 0.0f};
@@ -221,14 +272,9 @@ __device__ __forceinline__ int ordered(int bits) {
   return bits ^ (bits >> 31 & 0x7fffffff);
 }
 
-// Weaker than __threadfence(), which is sequentially consistent.
-__device__ __forceinline__ void fence_device() {
-  asm volatile("fence.acq_rel.gpu;" ::: "memory");
-}
-
 /// Edges of twice the largest radius (a fraction of it along z), enlarged until the grid fits.
 template <class Policy>
-__device__ inline Grid choose_grid(const Bounds& b, int capacity) {
+__host__ __device__ inline Grid choose_grid(const Bounds& b, int capacity) {
   constexpr float most_cells = 2097152.0f;  // along one axis: exact as float with room to spare
   Grid g;
   float edge[3];
@@ -274,7 +320,8 @@ __global__ void __launch_bounds__(Policy::bounds_threads)
   // meets one j modulo 3 only, so that it need not tell them apart before the end.
   Bounds b = empty_bounds();
   const float4* const positions = reinterpret_cast<const float4*>(source.positions());
-  const float4* const radii = reinterpret_cast<const float4*>(source.radii());
+  [[maybe_unused]] const float4* radii = nullptr;
+  if constexpr (HasRadii<Source>) radii = reinterpret_cast<const float4*>(source.radii());
   const unsigned quads = static_cast<unsigned>(source.count) / 4u, threes = 3u * quads;
   const unsigned ufirst = static_cast<unsigned>(first), step = static_cast<unsigned>(stride) / 3u * 3u;
   if (ufirst < step) {
@@ -286,7 +333,8 @@ __global__ void __launch_bounds__(Policy::bounds_threads)
         p[c] = positions[j < threes ? j : ufirst];
       }
       const unsigned j = ufirst + round * step;
-      const float4 r = radii[j < quads ? j : 0u];
+      float4 r{};
+      if constexpr (HasRadii<Source>) r = radii[j < quads ? j : 0u];
 #pragma unroll
       for (int c = 0; c < 3; ++c) {
         b.low[0] = fminf(fminf(b.low[0], p[c].x), p[c].w);
@@ -296,8 +344,10 @@ __global__ void __launch_bounds__(Policy::bounds_threads)
         b.high[1] = fmaxf(b.high[1], p[c].y);
         b.high[2] = fmaxf(b.high[2], p[c].z);
       }
-      b.smallest = fminf(fminf(fminf(b.smallest, r.x), fminf(r.y, r.z)), r.w);
-      b.largest = fmaxf(fmaxf(fmaxf(b.largest, r.x), fmaxf(r.y, r.z)), r.w);
+      if constexpr (HasRadii<Source>) {
+        b.smallest = fminf(fminf(fminf(b.smallest, r.x), fminf(r.y, r.z)), r.w);
+        b.largest = fmaxf(fmaxf(fmaxf(b.largest, r.x), fmaxf(r.y, r.z)), r.w);
+      }
     }
   }
   // Coordinate d is number d - first, modulo 3.
@@ -318,10 +368,13 @@ __global__ void __launch_bounds__(Policy::bounds_threads)
       b.low[d] = fminf(b.low[d], x);
       b.high[d] = fmaxf(b.high[d], x);
     }
-    const float radius = source.radii()[rest];
-    b.smallest = fminf(b.smallest, radius);
-    b.largest = fmaxf(b.largest, radius);
+    if constexpr (HasRadii<Source>) {
+      const float radius = source.radii()[rest];
+      b.smallest = fminf(b.smallest, radius);
+      b.largest = fmaxf(b.largest, radius);
+    }
   }
+  if constexpr (!HasRadii<Source>) b.smallest = b.largest = source.radius();
 
   // Of the warp, of the block, of all: keys of the eight numbers, whose least one is the extreme.
   const int thread = static_cast<int>(threadIdx.x), lane = thread % 32;
@@ -376,6 +429,26 @@ std::size_t split_bytes(int bins) {
          2 * sizeof(int) * static_cast<std::size_t>(bins);
 }
 
+// A pair of lanes writes first the even one's record, then the odd one's, each lane a word of it: whole
+// sectors. A lane without a target (-1) lends a hand.
+template <class Record>
+__device__ __forceinline__ void write_by_pairs(Record* split, int target, const Record& record) {
+  const float4* const word = reinterpret_cast<const float4*>(&record);
+  const bool odd = threadIdx.x % 2 != 0;
+  const auto choose = [&](const float4& if_odd, const float4& if_even) {
+    return make_float4(odd ? if_odd.x : if_even.x, odd ? if_odd.y : if_even.y, odd ? if_odd.z : if_even.z,
+                       odd ? if_odd.w : if_even.w);
+  };
+  const float4 kept = choose(word[1], word[0]), given = choose(word[0], word[1]);
+  const float4 taken =
+      make_float4(__shfl_xor_sync(0xffffffffu, given.x, 1), __shfl_xor_sync(0xffffffffu, given.y, 1),
+                  __shfl_xor_sync(0xffffffffu, given.z, 1), __shfl_xor_sync(0xffffffffu, given.w, 1));
+  const int other = __shfl_xor_sync(0xffffffffu, target, 1);
+  const int even_target = odd ? other : target, odd_target = odd ? target : other;
+  if (even_target >= 0) reinterpret_cast<float4*>(split + even_target)[odd] = choose(taken, kept);
+  if (odd_target >= 0) reinterpret_cast<float4*>(split + odd_target)[odd] = choose(kept, taken);
+}
+
 // A warp fetches the chunks of its own items, and makes records of them at the beginning of a tile; then the
 // next tile's may come. So no barrier belongs to them.
 template <class Policy, class Source>
@@ -385,7 +458,9 @@ __global__ void __launch_bounds__(Policy::split_threads, Policy::split_blocks_pe
   constexpr int threads = Policy::split_threads, each = Policy::split_each;
   constexpr int chunk_floats = Source::chunk_floats;
   constexpr int at_once = 4;  // atomics of a thread that are under way
-  static_assert(sizeof(Record) == record_words * sizeof(float4) && alignof(Record) == sizeof(Record));
+  constexpr int words = record_words<Source>;
+  static_assert(words == 1 || words == 2);
+  static_assert(sizeof(Record) == words * sizeof(float4) && alignof(Record) == sizeof(Record));
   static_assert(chunk_floats % 4 == 0 && threads % 32 == 0);
   static_assert(threads * each <= 65536 && Policy::most_bins <= 65536);
   extern __shared__ float4 dynamic_shared[];
@@ -465,21 +540,11 @@ __global__ void __launch_bounds__(Policy::split_threads, Policy::split_blocks_pe
           target = s.bins * Policy::bin_items + left;
         }
       }
-      // A pair of lanes writes first the even one's record, then the odd one's, each lane a word of it.
-      const float4* const word = reinterpret_cast<const float4*>(&record[k]);
-      const bool odd = lane % 2 != 0;
-      const auto choose = [&](const float4& if_odd, const float4& if_even) {
-        return make_float4(odd ? if_odd.x : if_even.x, odd ? if_odd.y : if_even.y, odd ? if_odd.z : if_even.z,
-                           odd ? if_odd.w : if_even.w);
-      };
-      const float4 kept = choose(word[1], word[0]), given = choose(word[0], word[1]);
-      const float4 taken =
-          make_float4(__shfl_xor_sync(0xffffffffu, given.x, 1), __shfl_xor_sync(0xffffffffu, given.y, 1),
-                      __shfl_xor_sync(0xffffffffu, given.z, 1), __shfl_xor_sync(0xffffffffu, given.w, 1));
-      const int other = __shfl_xor_sync(0xffffffffu, target, 1);
-      const int even_target = odd ? other : target, odd_target = odd ? target : other;
-      if (even_target >= 0) reinterpret_cast<float4*>(source.split + even_target)[odd] = choose(taken, kept);
-      if (odd_target >= 0) reinterpret_cast<float4*>(source.split + odd_target)[odd] = choose(kept, taken);
+      if constexpr (words == 1) {
+        if (target >= 0) source.split[target] = record[k];
+      } else {
+        write_by_pairs(source.split, target, record[k]);
+      }
     }
     begin = next;
     if (begin >= source.count) break;
@@ -498,7 +563,7 @@ template <class Policy, class Source>
 __global__ void __launch_bounds__(Policy::bin_threads, Policy::bin_blocks_per_sm)
     sort_bins(const __grid_constant__ Source source, const __grid_constant__ Storage s) {
   using Record = typename Source::Record;
-  constexpr int threads = Policy::bin_threads, words = record_words;
+  constexpr int threads = Policy::bin_threads, words = record_words<Source>;
   constexpr int bin_cells = Policy::bin_cells, row = bin_row<Policy>;
   constexpr int share = (Policy::bin_items + threads - 1) / threads;  // most records of a thread
   static_assert(bin_cells % 4 == 0 && threads >= bin_cells / 4 && threads % 32 == 0);
@@ -629,20 +694,32 @@ __global__ void __launch_bounds__(Policy::bin_threads, Policy::bin_blocks_per_sm
 template <class Policy = DefaultPolicy>
 class NeighbourGrid {
  public:
+  /// Items that a block splits at a time, at most.
+  static constexpr int kMostInTile = Policy::split_threads * Policy::split_each;
+
   /// For builds of up to `items` items of a Source.
   template <class Source>
   void allocate(std::int64_t items) {
     const double wish = static_cast<double>(Policy::cells_per_item) * static_cast<double>(items) + 4096;
-    const int most = Policy::most_bins * Policy::bin_cells;
-    s_.capacity = static_cast<int>(std::min(wish, static_cast<double>(most)));
+    const int processors = multiprocessors();
+    split_blocks_ = Policy::split_blocks_per_sm * processors;
+    // split_items counts all bins in what shared memory its chunks leave.
+    const std::size_t shared = static_cast<std::size_t>(most_shared_bytes()) - 256;
+    const std::size_t chunks = detail::split_bytes<Policy, Source>(0);
+    if (shared < chunks + 2 * sizeof(int) || shared < bin_bytes<Source>())
+      throw std::runtime_error("neighbour grid: the tiles do not fit in this device's shared memory");
+    const int most_bins =
+        static_cast<int>(std::min<std::size_t>(Policy::most_bins, (shared - chunks) / (2 * sizeof(int))));
+    const double most = static_cast<double>(most_bins) * Policy::bin_cells;
+    s_.capacity = static_cast<int>(std::min(wish, most));
     s_.bins = (s_.capacity + Policy::bin_cells - 1) / Policy::bin_cells;
     // As many tiles as blocks, or a multiple of it: one wave of equal blocks.
     const auto shares = [items](std::int64_t of) { return (items + of - 1) / of; };
-    const std::int64_t rounds = shares(std::int64_t{Policy::split_blocks} * most_in_tile);
+    const std::int64_t rounds = shares(std::int64_t{split_blocks_} * kMostInTile);
     s_.tile = static_cast<int>(
-        std::min<std::int64_t>((shares(Policy::split_blocks * rounds) + 31) / 32 * 32, most_in_tile));
+        std::min<std::int64_t>((shares(split_blocks_ * rounds) + 31) / 32 * 32, kMostInTile));
     bounds_blocks_ = static_cast<unsigned>(std::clamp<std::int64_t>(
-        (items + Policy::bounds_threads - 1) / Policy::bounds_threads, 1, Policy::bounds_blocks));
+        shares(Policy::bounds_threads), 1, std::int64_t{Policy::bounds_blocks_per_sm} * processors));
     const auto bins = static_cast<std::size_t>(s_.bins);
     grid_ = DeviceBuffer<Grid>(1);
     start_ = DeviceBuffer<int>(bins * Policy::bin_cells + 1);
@@ -668,7 +745,7 @@ class NeighbourGrid {
     const int tiles = (source.count + s_.tile - 1) / s_.tile;
     detail::find_bounds<Policy><<<bounds_blocks_, Policy::bounds_threads>>>(source, s_);
     launch_dependent(detail::split_items<Policy, Source>,
-                     static_cast<unsigned>(std::min(tiles, Policy::split_blocks)), Policy::split_threads,
+                     static_cast<unsigned>(std::min(tiles, split_blocks_)), Policy::split_threads,
                      detail::split_bytes<Policy, Source>(s_.bins), source, s_);
     launch_dependent(detail::sort_bins<Policy, Source>, static_cast<unsigned>(s_.bins), Policy::bin_threads,
                      bin_bytes<Source>(), source, s_);
@@ -684,8 +761,6 @@ class NeighbourGrid {
   const int* start() const { return s_.start; }  ///< first slot of each cell, and the number of items
 
  private:
-  static constexpr int most_in_tile = Policy::split_threads * Policy::split_each;
-
   template <class Source>
   static std::size_t bin_bytes() {
     return sizeof(typename Source::Record) * detail::bin_row<Policy>;
@@ -693,6 +768,7 @@ class NeighbourGrid {
 
   detail::Storage s_{};
   unsigned bounds_blocks_ = 1;
+  int split_blocks_ = 1;
   DeviceBuffer<Grid> grid_;
   DeviceBuffer<int> start_, bin_count_, left_over_, left_bin_;
 };
