@@ -13,6 +13,7 @@
 #include <stdexcept>
 
 #include "references/blocks/fluid_search.cuh"
+#include "references/common/approximate.cuh"
 #include "references/common/device_buffer.cuh"
 
 namespace gpuphys::fluid {
@@ -75,16 +76,15 @@ struct Constraint {
   float pressure;  // k_corr / (1 - dq^2)^12
 };
 
-/// lambda, into the fourth word of a copy of the shifts.
+/// lambda, into the fourth word of a copy of the places.
 static __global__ void __launch_bounds__(Policy::threads, Policy::blocks_per_sm)
-    find_lambda(const __grid_constant__ Fluid f, const __grid_constant__ Constraint law,
-                float4* shift_lambda) {
-  __shared__ Queue queue;
+    find_lambda(const __grid_constant__ Fluid f, const __grid_constant__ Constraint law, int4* with_lambda) {
+  __shared__ Queue<Lists::written> queue;
   const auto [slot, mine] = own_slot(f);
   if (blockIdx.x == 0 && threadIdx.x == 0) f.drift[f.iteration] = drift_of(f);
   float density = 0.0f, squares = 0.0f;  // with the particle's own
   float3 sum{0.0f, 0.0f, 0.0f};
-  for_each_neighbour<true, Lists::written>(f, queue, slot, mine, [&](int, const Pair& pair, const float4&) {
+  for_each_neighbour<true, Lists::written>(f, queue, slot, mine, [&](int, const Pair& pair, float) {
     const float depth = depth_of(f, pair), slope = slope_of(f, pair);
     density += depth * depth * depth;
     squares += slope * slope * pair.square;
@@ -94,29 +94,35 @@ static __global__ void __launch_bounds__(Policy::threads, Policy::blocks_per_sm)
   });
   squares += sum.x * sum.x + sum.y * sum.y + sum.z * sum.z;
   const float excess = law.poly6 * density - 1.0f;
-  float4 own = f.shift[slot];
-  own.w = -excess / (law.spiky * law.spiky * squares + law.eps);
-  if (mine) shift_lambda[slot] = own;
+  int4 own = f.places[slot];
+  own.w = __float_as_int(-excess / (law.spiky * law.spiky * squares + law.eps));
+  if (mine) with_lambda[slot] = own;
 }
 
-/// Moves the particles: f.shift, with lambda, into `moved`, and codes for where they are then. Results go to
-/// `out`, if it is not null, in the order of the input.
-static __global__ void __launch_bounds__(Policy::threads, Policy::blocks_per_sm)
-    move(const __grid_constant__ Fluid f, const __grid_constant__ Constraint law, float4* moved,
-         unsigned* codes, float* out) {
-  __shared__ Queue queue;
+/// What an iteration writes: where the particles are after it.
+struct Moved {
+  float4* shift;
+  int4* places;
+  unsigned* codes;
+  float* out;  // positions in the order of the input, if it is not null
+};
+
+/// Moves the particles; lambda is in the fourth word of their places.
+static __global__ void __launch_bounds__(Policy::threads, Policy::reading_blocks_per_sm)
+    move(const __grid_constant__ Fluid f, const __grid_constant__ Constraint law,
+         const __grid_constant__ Moved moved) {
+  __shared__ Queue<Lists::read> queue;
   __shared__ float staged[3 * Policy::threads];
   const auto [slot, mine] = own_slot(f);
-  const float lambda = f.shift[slot].w;
+  const float lambda = __int_as_float(f.places[slot].w);
   float3 sum{0.0f, 0.0f, 0.0f};
-  for_each_neighbour<true, Lists::read>(
-      f, queue, slot, mine, [&](int, const Pair& pair, const float4& other) {
-        const float depth = depth_of(f, pair), cube = depth * depth * depth, sixth = cube * cube;
-        const float factor = slope_of(f, pair) * (lambda + other.w - law.pressure * (sixth * sixth));
-        sum.x += factor * pair.d.x;
-        sum.y += factor * pair.d.y;
-        sum.z += factor * pair.d.z;
-      });
+  for_each_neighbour<true, Lists::read>(f, queue, slot, mine, [&](int, const Pair& pair, float other) {
+    const float depth = depth_of(f, pair), cube = depth * depth * depth, sixth = cube * cube;
+    const float factor = slope_of(f, pair) * (lambda + other - law.pressure * (sixth * sixth));
+    sum.x += factor * pair.d.x;
+    sum.y += factor * pair.d.y;
+    sum.z += factor * pair.d.z;
+  });
   const float4 x = f.x[slot], before = f.shift[slot];
   float4 shift = before;
   shift.x -= law.spiky * sum.x;
@@ -125,15 +131,18 @@ static __global__ void __launch_bounds__(Policy::threads, Policy::blocks_per_sm)
   const float step =
       fmaxf(fmaxf(fabsf(shift.x - before.x), fabsf(shift.y - before.y)), fabsf(shift.z - before.z));
   if (mine) {
-    moved[slot] = shift;
-    codes[slot] = code_of(relative(*f.grid, x, shift), resolution * f.inverse_h);
+    const int4 place = place_of(f.units, x, shift);
+    moved.shift[slot] = shift;
+    moved.places[slot] = place;
+    moved.codes[slot] = code_of(f.units, place);
   }
   // Floats from 0 on are in the order of their bits. What is read may be old: then it is too low.
   const int largest = static_cast<int>(__reduce_max_sync(0xffffffffu, __float_as_uint(step)));
   int* const most = reinterpret_cast<int*>(f.largest_move + f.iteration);
   if (threadIdx.x % 32 == 0 && largest > *static_cast<volatile int*>(most)) atomicMax(most, largest);
-  if (out != nullptr)
-    scatter(out, staged, mine ? __float_as_int(x.w) : -1, {x.x + shift.x, x.y + shift.y, x.z + shift.z});
+  if (moved.out != nullptr)
+    scatter(moved.out, staged, mine ? __float_as_int(x.w) : -1,
+            {x.x + shift.x, x.y + shift.y, x.z + shift.z});
 }
 
 // ---- Velocities: of a fluid at rest in its places, `velocity`; of one that moved, shift / dt ----
@@ -145,23 +154,22 @@ struct Velocities {
 };
 
 /// omega / (45 / (pi h^4)), and its size.
-template <bool Moved>
+template <bool moves>
 static __global__ void __launch_bounds__(Policy::threads, Policy::blocks_per_sm)
     find_vorticity(const __grid_constant__ Fluid f, const __grid_constant__ Velocities v, float4* curl,
                    float* size) {
-  __shared__ Queue queue;
+  __shared__ Queue<Lists::written> queue;
   const auto [slot, mine] = own_slot(f);
   const float4 own = v.at[slot];
   float3 sum{0.0f, 0.0f, 0.0f};
-  for_each_neighbour<Moved, Lists::written>(
-      f, queue, slot, mine, [&](int j, const Pair& pair, const float4&) {
-        const float slope = slope_of(f, pair);
-        const float4 other = v.at[j];
-        const float3 turn = cross({other.x - own.x, other.y - own.y, other.z - own.z}, pair.d);
-        sum.x += slope * turn.x;
-        sum.y += slope * turn.y;
-        sum.z += slope * turn.z;
-      });
+  for_each_neighbour<moves, Lists::written>(f, queue, slot, mine, [&](int j, const Pair& pair, float) {
+    const float slope = slope_of(f, pair);
+    const float4 other = v.at[j];
+    const float3 turn = cross({other.x - own.x, other.y - own.y, other.z - own.z}, pair.d);
+    sum.x += slope * turn.x;
+    sum.y += slope * turn.y;
+    sum.z += slope * turn.z;
+  });
   const float3 found{v.scale * sum.x, v.scale * sum.y, v.scale * sum.z};
   if (!mine) return;
   curl[slot] = make_float4(found.x, found.y, found.z, 0.0f);
@@ -174,17 +182,17 @@ struct Confinement {
 };
 
 /// Velocities after confinement: into `after` by slots, or to `out` in the order of the input.
-template <bool Moved>
-static __global__ void __launch_bounds__(Policy::threads, Policy::blocks_per_sm)
+template <bool moves>
+static __global__ void __launch_bounds__(Policy::threads, Policy::reading_blocks_per_sm)
     confine(const __grid_constant__ Fluid f, const __grid_constant__ Velocities v,
             const __grid_constant__ Confinement law, const float4* curl, const float* size, float4* after,
             float* out) {
-  __shared__ Queue queue;
+  __shared__ Queue<Lists::read> queue;
   __shared__ float staged[3 * Policy::threads];
   const auto [slot, mine] = own_slot(f);
   const float own = size[slot];
   float3 rise{0.0f, 0.0f, 0.0f};
-  for_each_neighbour<Moved, Lists::read>(f, queue, slot, mine, [&](int j, const Pair& pair, const float4&) {
+  for_each_neighbour<moves, Lists::read>(f, queue, slot, mine, [&](int j, const Pair& pair, float) {
     const float factor = slope_of(f, pair) * (own - size[j]);
     rise.x += factor * pair.d.x;
     rise.y += factor * pair.d.y;
@@ -197,7 +205,7 @@ static __global__ void __launch_bounds__(Policy::threads, Policy::blocks_per_sm)
   const float4 result =
       make_float4(v.scale * before.x + law.factor * push.x, v.scale * before.y + law.factor * push.y,
                   v.scale * before.z + law.factor * push.z, 0.0f);
-  if constexpr (Moved) {
+  if constexpr (moves) {
     if (mine) after[slot] = result;
   } else {
     scatter(out, staged, mine ? __float_as_int(f.x[slot].w) : -1, {result.x, result.y, result.z});
@@ -205,17 +213,18 @@ static __global__ void __launch_bounds__(Policy::threads, Policy::blocks_per_sm)
 }
 
 /// Velocities after viscosity, to `out` in the order of the input; and positions, where they moved.
-template <bool Moved>
-static __global__ void __launch_bounds__(Policy::threads, Policy::blocks_per_sm)
+template <bool moves>
+static __global__ void __launch_bounds__(Policy::threads,
+                                         moves ? Policy::reading_blocks_per_sm : Policy::blocks_per_sm)
     even_out(const __grid_constant__ Fluid f, const float4* velocity, float factor, float* out,
              float* positions) {
-  __shared__ Queue queue;
+  constexpr Lists lists = moves ? Lists::read : Lists::unused;
+  __shared__ Queue<lists> queue;
   __shared__ float staged[3 * Policy::threads];
   const auto [slot, mine] = own_slot(f);
   const float4 own = velocity[slot];
   float3 sum{0.0f, 0.0f, 0.0f};
-  constexpr Lists lists = Moved ? Lists::read : Lists::unused;
-  for_each_neighbour<Moved, lists>(f, queue, slot, mine, [&](int j, const Pair& pair, const float4&) {
+  for_each_neighbour<moves, lists>(f, queue, slot, mine, [&](int j, const Pair& pair, float) {
     const float depth = depth_of(f, pair), weight = depth * depth * depth;
     const float4 other = velocity[j];
     sum.x += weight * (other.x - own.x);
@@ -225,7 +234,7 @@ static __global__ void __launch_bounds__(Policy::threads, Policy::blocks_per_sm)
   const float4 x = f.x[slot];
   const int index = mine ? __float_as_int(x.w) : -1;
   scatter(out, staged, index, {own.x + factor * sum.x, own.y + factor * sum.y, own.z + factor * sum.z});
-  if constexpr (Moved) {
+  if constexpr (moves) {
     const float4 shift = f.shift[slot];
     scatter(positions, staged, index, {x.x + shift.x, x.y + shift.y, x.z + shift.z});
   }
@@ -252,6 +261,7 @@ class Solver {
     split_ = DeviceBuffer<Particle>(grid_.records(n));
     sorted_ = DeviceBuffer<float4>(2 * count);
     codes_[0] = DeviceBuffer<unsigned>(count + padding);
+    if constexpr (kMoves) places_[0] = DeviceBuffer<int4>(count);
     if (lists) {
       hits_ = DeviceBuffer<int>(static_cast<std::size_t>(Policy::listed) * count);
       hit_count_ = DeviceBuffer<int>(count);
@@ -260,14 +270,17 @@ class Solver {
     drift_ = DeviceBuffer<float>(2 * moves_);
     if (iterations > 0) {
       codes_[1] = DeviceBuffer<unsigned>(count + padding);
-      shift_lambda_ = DeviceBuffer<float4>(count);
+      places_[1] = DeviceBuffer<int4>(count);
+      moved_ = DeviceBuffer<float4>(count);
     }
   }
 
   /// Sorts the particles. `predicted`, dt and g for With::step only.
   void sort(const float* x, const float* v, int n, float h, const float* predicted = nullptr, float dt = 0,
             float3 g = {0, 0, 0}) {
-    grid_.build(Particles<with>{x, v, predicted, h, dt, g, split_.get(), sorted_.get(), codes_[0].get(), n});
+    const Units units = units_of(h);
+    grid_.build(Particles<with>{x, v, predicted, h, dt, g, units, split_.get(), sorted_.get(),
+                                codes_[0].get(), places_[0].get(), n});
     fluid_ = {};
     fluid_.grid = grid_.grid();
     fluid_.start = grid_.start();
@@ -279,9 +292,12 @@ class Solver {
     fluid_.hits = hits_.get();
     fluid_.hit_count = hit_count_.get();
     fluid_.count = n;
+    fluid_.places = places_[0].get();
+    fluid_.units = units;
     fluid_.h = h;
-    fluid_.inverse_h = 1.0f / h;
-    fluid_.inverse_square = static_cast<float>(1 / (static_cast<double>(h) * static_cast<double>(h)));
+    const double reach = static_cast<double>(h) * (kMoves ? static_cast<double>(units.per_metre) : 1);
+    fluid_.inverse_h = static_cast<float>(1 / reach);
+    fluid_.inverse_square = static_cast<float>(1 / (reach * reach));
   }
 
   /// Jacobi iterations on the sorted particles; the positions after the last one go to `out`, if it is not
@@ -296,47 +312,51 @@ class Solver {
     float4* const shift = sorted_.get() + fluid_.count;
     for (int k = 0; k < iterations; ++k) {
       fluid_.iteration = k;
-      find_lambda<<<blocks(), Policy::threads>>>(fluid_, law, shift_lambda_.get());
-      // From the copy, back into the first array.
-      fluid_.shift = shift_lambda_.get();
-      unsigned* const next_codes = codes_[1 - k % 2].get();
-      move<<<blocks(), Policy::threads>>>(fluid_, law, shift, next_codes,
-                                          k + 1 == iterations ? out : nullptr);
-      fluid_.shift = shift;
-      fluid_.codes = next_codes;
+      // Each kernel reads one copy of what it replaces, and writes another.
+      find_lambda<<<blocks(), Policy::threads>>>(fluid_, law, places_[1].get());
+      fluid_.places = places_[1].get();
+      const Moved moved{k % 2 == 0 ? moved_.get() : sorted_.get() + fluid_.count, places_[0].get(),
+                        codes_[1 - k % 2].get(), k + 1 == iterations ? out : nullptr};
+      move<<<blocks(), Policy::threads>>>(fluid_, law, moved);
+      fluid_.shift = moved.shift;
+      fluid_.places = moved.places;
+      fluid_.codes = moved.codes;
     }
     fluid_.iteration = iterations;
   }
 
   /// Vorticity confinement of the velocities `v`: into `after` (of particles that moved) or `out`.
-  template <bool Moved>
+  template <bool moves>
   void confine_vorticity(const Velocities& v, float epsilon, float dt, float4* curl, float* size,
                          float4* after, float* out) {
     const double spiky = spiky_factor(fluid_.h);
     const Confinement law{static_cast<float>(static_cast<double>(dt) * static_cast<double>(epsilon) * spiky),
                           static_cast<float>(0x1p-20 / spiky / spiky)};
-    find_vorticity<Moved><<<blocks(), Policy::threads>>>(fluid_, v, curl, size);
-    confine<Moved><<<blocks(), Policy::threads>>>(fluid_, v, law, curl, size, after, out);
+    find_vorticity<moves><<<blocks(), Policy::threads>>>(fluid_, v, curl, size);
+    confine<moves><<<blocks(), Policy::threads>>>(fluid_, v, law, curl, size, after, out);
   }
 
   /// Viscosity of the velocities `v`.
-  template <bool Moved>
+  template <bool moves>
   void viscosity(const float4* v, float c, float* out, float* positions) {
     const auto factor = static_cast<float>(static_cast<double>(c) * poly6_factor(fluid_.h));
-    even_out<Moved><<<blocks(), Policy::threads>>>(fluid_, v, factor, out, positions);
+    even_out<moves><<<blocks(), Policy::threads>>>(fluid_, v, factor, out, positions);
   }
 
   /// The second half of the sorted particles: velocity or displacement.
   const float4* other() const { return fluid_.shift; }
 
  private:
+  static constexpr bool kMoves = with != With::velocity;
+
   unsigned blocks() const {
     return static_cast<unsigned>((fluid_.count + Policy::threads - 1) / Policy::threads);
   }
 
   neighbour_grid::NeighbourGrid<GridPolicy> grid_;
   DeviceBuffer<Particle> split_;
-  DeviceBuffer<float4> sorted_, shift_lambda_;
+  DeviceBuffer<float4> sorted_, moved_;
+  DeviceBuffer<int4> places_[2];
   DeviceBuffer<unsigned> codes_[2];
   DeviceBuffer<int> hits_, hit_count_;
   DeviceBuffer<float> drift_;

@@ -1,29 +1,32 @@
 // The neighbours of fluid particles: sorted once by the cells of a grid, found again after each move, and
 // kept in a list for those sweeps that see the same positions.
 //
-// A particle at 4,096,000 of the paper's sets has 33 neighbours among 180 candidates in nine columns of
-// cells. What a sweep does with a neighbour costs some 30 instructions, so candidates are told apart by four:
+// A particle of the paper's sets has 33 neighbours among 180 candidates in nine columns of cells. What a
+// sweep does with a neighbour costs some 30 instructions, so candidates are told apart by four:
 //
-//   codes     A position in four bytes, 1/80 of h a unit, modulo 256:   | -z | -y | -x | 0 |
+//   places    Positions as integers, in units of at most 2^-23 h, modulo 2^32: differences are exact wherever
+//             the fluid is, and a particle that moves is one load of 16 bytes, with a word to spare.
+//   codes     Eight bits of each coordinate, about 1/64 of h a step, in four bytes:   | -z | -y | -x | 0 |
 //   candidate load the code, add one's own numbers, dot product with itself (dp4a), shift in the sign:
 //             0 0 1 1 0 1 ...   a word of bits per column, the hits; may hold a few too many, never too few
 //   queue     words that are not empty wait in shared memory, until all columns are searched
 //   sweep     over the queue, so that the lanes of a warp, with 33 +- 4 neighbours each, are mostly busy
 //
-// Exact distances, in float32 from differences, decide what a hit is worth: all kernels are zero from h on.
+// Exact distances decide what a hit is worth: all kernels are zero from h on. They come from differences of
+// the input where nothing moves, of places where particles do. (Where cells had to be made so wide that
+// places of candidates may wrap around, from x and shift, two loads.)
 //
-// Positions are x + shift: x as it came, so that differences of neighbours are exact, and shift what moved
-// since. The grid stays that of the sort. Drift, an upper bound on how far any particle has moved since along
-// an axis, widens the search: nobody is missed, however far; the search is slower where drift is large
-// against h.
+// x stays as it came; shift is what was moved since, and is added at the end. The grid stays that of the
+// sort. Drift, an upper bound on how far any particle has moved since along an axis, widens the search:
+// nobody is missed, however far; the search is slower where drift is large against h.
 #pragma once
 
 #include <cuda_runtime.h>
 
+#include <cmath>
 #include <cstddef>
 
 #include "references/blocks/neighbour_grid.cuh"
-#include "references/common/approximate.cuh"
 #include "references/common/machine.cuh"
 
 namespace gpuphys::fluid {
@@ -43,6 +46,7 @@ struct GridPolicy : neighbour_grid::DefaultPolicy {
 struct Policy {
   static constexpr int threads = 64;
   static constexpr int blocks_per_sm = 8;
+  static constexpr int reading_blocks_per_sm = 12;
   static constexpr int first_candidates = 8;
   static constexpr int candidates_per_look = 2;
   static constexpr int longest_run = 16;
@@ -57,9 +61,10 @@ struct GridPolicy : neighbour_grid::DefaultPolicy {
 struct Policy {
   static constexpr int threads = 128;
   static constexpr int blocks_per_sm = 7;
-  static constexpr int first_candidates = 16;    // of a column, before the first look at its length
-  static constexpr int candidates_per_look = 4;  // and from then on
-  static constexpr int longest_run = 32;         // of a queue entry: its bits
+  static constexpr int reading_blocks_per_sm = 9;  // of sweeps that read lists
+  static constexpr int first_candidates = 16;      // of a column, before the first look at its length
+  static constexpr int candidates_per_look = 4;    // and from then on
+  static constexpr int longest_run = 32;           // of a queue entry: its bits
   static constexpr int queue_entries = 16;
   static constexpr int listed = 64;  // hits of a particle that its list has room for
 };
@@ -72,39 +77,53 @@ static_assert(Policy::queue_entries >= neighbour_grid::kColumns && Policy::threa
 constexpr int padding = Policy::first_candidates > Policy::candidates_per_look ? Policy::first_candidates
                                                                                : Policy::candidates_per_look;
 
-// ---- Codes ----
+// ---- Places and codes ----
 
-/// Units in h. Finer is sharper; differences, up to 2 h in the columns searched, must not wrap to below h.
-constexpr float resolution = 80.0f;
-
-__device__ __forceinline__ float3 relative(const neighbour_grid::Grid& grid, const float4& x,
-                                           const float4& shift) {
-  return {(x.x - grid.low[0]) + shift.x, (x.y - grid.low[1]) + shift.y, (x.z - grid.low[2]) + shift.z};
+/// Units of length: h is between 2^23 and 2^24 of places' units, and between 42 and 84 steps of a code's.
+struct Units {
+  float per_metre;  // units of a place, a power of two: the product with a float32 is exact
+  int step;         // of a code: 2^step units
+};
+inline Units units_of(float h) {
+  int exponent = 0;
+  const float fraction = std::frexp(h, &exponent);  // in [1/2, 1)
+  if (fraction == 0.5f) --exponent;                 // h = 2^exponent, or less
+  const float per_metre = std::ldexp(1.0f, 24 - exponent);
+  return {per_metre, h * per_metre > 84 * 0x1p17f ? 18 : 17};
 }
 
-__device__ __forceinline__ unsigned code_of(const float3& place, float units_per_metre) {
-  const int x = static_cast<int>(floorf(place.x * units_per_metre));
-  const int y = static_cast<int>(floorf(place.y * units_per_metre));
-  const int z = static_cast<int>(floorf(place.z * units_per_metre));
-  return (0u - static_cast<unsigned>(x)) % 256u << 8 | (0u - static_cast<unsigned>(y)) % 256u << 16 |
-         (0u - static_cast<unsigned>(z)) << 24;
+/// A coordinate and a displacement in units, each rounded once, modulo 2^32.
+__device__ __forceinline__ int place_along(const Units& units, float x, float shift) {
+  return static_cast<int>(__float2ll_rn(x * units.per_metre) + __float2ll_rn(shift * units.per_metre));
+}
+__device__ __forceinline__ int4 place_of(const Units& units, const float4& x, const float4& shift) {
+  return make_int4(place_along(units, x.x, shift.x), place_along(units, x.y, shift.y),
+                   place_along(units, x.z, shift.z), 0);
 }
 
-/// What is added to a candidate's code. The sum holds differences to within a unit for x and 1.5 for y and z,
+/// Differences of codes wrap at 256 steps, 3 h or more: beyond what a search meets, and otherwise they may
+/// only let pass too many.
+__device__ __forceinline__ unsigned code_of(const Units& units, const int4& place) {
+  const unsigned x = static_cast<unsigned>(place.x >> units.step);
+  const unsigned y = static_cast<unsigned>(place.y >> units.step);
+  const unsigned z = static_cast<unsigned>(place.z >> units.step);
+  return (0u - x) % 256u << 8 | (0u - y) % 256u << 16 | (0u - z) << 24;
+}
+
+/// What is added to a candidate's code. The sum holds differences to within a step for x and 1.5 for y and z,
 /// into which the byte below may carry; the halves centre that.
-__device__ __forceinline__ unsigned probe_of(const float3& place, float units_per_metre) {
-  const int x = static_cast<int>(floorf(place.x * units_per_metre));
-  const int y = static_cast<int>(floorf(place.y * units_per_metre - 0.5f));
-  const int z = static_cast<int>(floorf(place.z * units_per_metre - 0.5f));
-  return static_cast<unsigned>(x) % 256u << 8 | static_cast<unsigned>(y) % 256u << 16 |
-         static_cast<unsigned>(z) << 24;
+__device__ __forceinline__ unsigned probe_of(const Units& units, const int4& place) {
+  const int half = 1 << units.step >> 1;
+  const unsigned x = static_cast<unsigned>(place.x >> units.step);
+  const unsigned y = (static_cast<unsigned>(place.y) - static_cast<unsigned>(half)) >> units.step;
+  const unsigned z = (static_cast<unsigned>(place.z) - static_cast<unsigned>(half)) >> units.step;
+  return x % 256u << 8 | y % 256u << 16 | z << 24;
 }
 
-/// What the dot product of a true neighbour stays below: sqrt(1 + 1.5^2 + 1.5^2) units of rounding down, and
-/// the rounding of places over `extent`, which lets everything pass where it is too wide for float32.
-__device__ __forceinline__ int code_bound(float extent, float units_per_metre) {
-  const float reach = resolution * 1.00001f + 2.35f + extent * units_per_metre * 0x1p-20f;
-  return static_cast<int>(fminf(reach * reach, 2e9f)) + 1;
+/// What the dot product of a true neighbour stays below: sqrt(1 + 1.5^2 + 1.5^2) steps of rounding down.
+__device__ __forceinline__ int code_bound(const Units& units, float h) {
+  const float steps = h * units.per_metre / static_cast<float>(1 << units.step) + 2.35f;
+  return static_cast<int>(steps * steps * 1.00001f) + 1;
 }
 
 // ---- Sorting ----
@@ -130,9 +149,11 @@ struct Particles {
   const float* __restrict__ predicted;  // With::step: x + dt (v + dt g), for the box
   float h, dt;
   float3 g;
+  Units units;
   Particle* __restrict__ split;
   float4* __restrict__ sorted;
   unsigned* __restrict__ codes;
+  int4* __restrict__ places;  // not written With::velocity
   int count;
 
   __device__ __forceinline__ const float* positions() const { return with == With::step ? predicted : x; }
@@ -168,10 +189,11 @@ struct Particles {
     if constexpr (with != With::step) return {p.x.x, p.x.y, p.x.z};
     return {__fadd_rn(p.x.x, p.other.x), __fadd_rn(p.x.y, p.other.y), __fadd_rn(p.x.z, p.other.z)};
   }
-  __device__ __forceinline__ void placed(const neighbour_grid::Grid& grid, int slot,
-                                         const Particle& p) const {
+  __device__ __forceinline__ void placed(const neighbour_grid::Grid&, int slot, const Particle& p) const {
     const float4 still = make_float4(0, 0, 0, 0);
-    codes[slot] = code_of(relative(grid, p.x, with == With::step ? p.other : still), resolution / h);
+    const int4 place = place_of(units, p.x, with == With::step ? p.other : still);
+    codes[slot] = code_of(units, place);
+    if constexpr (with != With::velocity) places[slot] = place;
     if (slot > 0) return;
 #pragma unroll 1
     for (int k = 0; k < padding; ++k) codes[count + k] = 0;
@@ -185,15 +207,18 @@ struct Fluid {
   const neighbour_grid::Grid* grid;
   const int* start;
   const float4* x;        // and the index in the input as bits
-  const float4* shift;    // not read where nothing moves
-  const unsigned* codes;  // of the positions now
+  const float4* shift;    // not read where nothing moves, as are
+  const int4* places;     // where the particles are now, and a word (lambda)
+  const unsigned* codes;  // of where they are now
   float* drift;           // before each iteration, and
   float* largest_move;    // within it: largest along an axis
   int iteration;
   int* hits;       // lists: number k of slot s is hits[k * count + s]
   int* hit_count;  // of each slot; a list with more than Policy::listed is of no use
   int count;
-  float h, inverse_h, inverse_square;  // 1 / h, 1 / h^2
+  Units units;
+  float h;
+  float inverse_h, inverse_square;  // 1 / h, 1 / h^2, in the unit of the pairs' distances
 };
 
 /// How far any particle may have moved along an axis before this iteration.
@@ -203,39 +228,69 @@ __device__ __forceinline__ float drift_of(const Fluid& f) {
 
 enum class Lists { unused, written, read };
 
-/// Memory of a block for the search.
+/// Memory of a block for the search; little where lists are read, and searching is the exception.
+template <Lists lists>
 struct Queue {
-  int2 entries[Policy::queue_entries * Policy::threads];
+  static constexpr int kEntries = lists == Lists::read ? neighbour_grid::kColumns : Policy::queue_entries;
+  int2 entries[kEntries * Policy::threads];
 };
 
-/// A particle and another one: x - x_other, and its squared length.
+/// a - b, modulo 2^32.
+__device__ __forceinline__ int difference(int a, int b) {
+  return static_cast<int>(static_cast<unsigned>(a) - static_cast<unsigned>(b));
+}
+
+/// A particle and another one: from the other to this one, and its squared length. In metres where nothing
+/// moves, otherwise in units of places.
 struct Pair {
   float3 d;
   float square;
 };
 
-/// Calls meet(slot of another particle, Pair, shift of the other one) for all particles within h of the one
-/// in `slot`, itself, and a few that are further away. `Moved`: positions have shifts.
-template <bool Moved, Lists lists, class Meet>
-__device__ __forceinline__ void for_each_neighbour(const Fluid& f, Queue& queue, int slot, bool writes,
+/// Whether places of candidates may be too far apart for a difference modulo 2^32.
+__device__ __forceinline__ bool wraps(const Fluid& f, float drift) {
+  float widest = 0.0f;
+#pragma unroll
+  for (int d = 0; d < 3; ++d) widest = fmaxf(widest, 1.0f / f.grid->inverse_edge[d]);
+  return !(widest + 2.0f * drift < 100.0f * f.h);
+}
+
+/// Calls meet(slot of another particle, Pair, the fourth word of its place) for all particles within h of the
+/// one in `slot`, itself, and a few that are further away. `moves`: positions have shifts and places.
+template <bool moves, Lists lists, class Meet>
+__device__ __forceinline__ void for_each_neighbour(const Fluid& f, Queue<lists>& queue, int slot, bool writes,
                                                    Meet&& meet) {
   const int thread = static_cast<int>(threadIdx.x);
-  const float4 still = make_float4(0, 0, 0, 0);
   const float4 x = f.x[slot];
-  float4 shift = still;
-  if constexpr (Moved) shift = f.shift[slot];
+  int4 place;
+  float drift = 0.0f;
+  bool wide = false;
+  if constexpr (moves) {
+    place = f.places[slot];
+    drift = drift_of(f);
+    wide = wraps(f, drift);
+  }
   const auto visit = [&](int j) {
-    const float4 other = f.x[j];
-    Pair pair{{x.x - other.x, x.y - other.y, x.z - other.z}, 0.0f};
-    float4 other_shift = still;
-    if constexpr (Moved) {
-      other_shift = f.shift[j];
-      pair.d.x += shift.x - other_shift.x;
-      pair.d.y += shift.y - other_shift.y;
-      pair.d.z += shift.z - other_shift.z;
+    Pair pair;
+    float word = 0.0f;
+    if constexpr (moves) {
+      const int4 other = f.places[j];
+      word = __int_as_float(other.w);
+      pair.d = {static_cast<float>(difference(place.x, other.x)),
+                static_cast<float>(difference(place.y, other.y)),
+                static_cast<float>(difference(place.z, other.z))};
+      if (wide) {
+        const float4 own_shift = f.shift[slot], x_other = f.x[j], shift_other = f.shift[j];
+        pair.d.x = (x.x - x_other.x + (own_shift.x - shift_other.x)) * f.units.per_metre;
+        pair.d.y = (x.y - x_other.y + (own_shift.y - shift_other.y)) * f.units.per_metre;
+        pair.d.z = (x.z - x_other.z + (own_shift.z - shift_other.z)) * f.units.per_metre;
+      }
+    } else {
+      const float4 other = f.x[j];
+      pair.d = {x.x - other.x, x.y - other.y, x.z - other.z};
     }
     pair.square = pair.d.x * pair.d.x + pair.d.y * pair.d.y + pair.d.z * pair.d.z;
-    meet(j, pair, other_shift);
+    meet(j, pair, word);
   };
 
   const auto stride = static_cast<std::size_t>(f.count);
@@ -256,11 +311,15 @@ __device__ __forceinline__ void for_each_neighbour(const Fluid& f, Queue& queue,
   }
 
   const neighbour_grid::Grid& grid = *f.grid;
-  const float units = resolution * f.inverse_h;
-  const float drift = Moved ? drift_of(f) : 0.0f;
-  const float3 place = relative(grid, x, shift);
-  const unsigned probe = probe_of(place, units);
-  const int bound = code_bound(grid.extent + drift, units);
+  float3 now{x.x, x.y, x.z};
+  if constexpr (moves) {
+    const float4 shift = f.shift[slot];
+    now = {x.x + shift.x, x.y + shift.y, x.z + shift.z};
+  } else {
+    place = place_of(f.units, x, make_float4(0, 0, 0, 0));
+  }
+  const unsigned probe = probe_of(f.units, place);
+  const int bound = code_bound(f.units, f.h);
 
   int top = 0;
   [[maybe_unused]] int met = 0;
@@ -292,7 +351,7 @@ __device__ __forceinline__ void for_each_neighbour(const Fluid& f, Queue& queue,
     return __funnelshift_l(static_cast<unsigned>(__dp4a(bytes, bytes, -bound)), bits, 1);
   };
   const auto make_room = [&] {
-    if (top > Policy::queue_entries - neighbour_grid::kColumns) sweep();
+    if (top > Queue<lists>::kEntries - neighbour_grid::kColumns) sweep();
   };
   const auto search = [&](const neighbour_grid::Ranges& ranges) {
     unsigned bits[neighbour_grid::kColumns];
@@ -320,9 +379,8 @@ __device__ __forceinline__ void for_each_neighbour(const Fluid& f, Queue& queue,
     }
   };
   // Of the cells of the others, which are those of where they were sorted, to within rounding.
-  const float3 now{x.x + shift.x, x.y + shift.y, x.z + shift.z};
   float cutoff = (f.h + drift) * 1.00001f;
-  if constexpr (Moved) cutoff += fmaxf(fmaxf(fabsf(now.x), fabsf(now.y)), fabsf(now.z)) * 0x1p-22f;
+  if constexpr (moves) cutoff += fmaxf(fmaxf(fabsf(now.x), fabsf(now.y)), fabsf(now.z)) * 0x1p-22f;
   neighbour_grid::visit_ranges<Policy::longest_run>(grid, f.start, now, cutoff, make_room, search);
   sweep();
   if constexpr (lists == Lists::written) {
