@@ -343,6 +343,26 @@ Check position_units_check(double v_tolerance) {
       });
 }
 
+Check positions_follow_check() {
+  return worst_over(
+      {.name = "positions_follow",
+       .array = "x_new",
+       .quantity = "x_new - (x + dt v_new), in units in the last place of x_new or x_new - x",
+       .tolerance = 2,
+       .why =
+           "half a unit for the rounding of x_new; v_new, its sum with x and products with dt make another",
+       .needs_truth = false},
+      [](const Judged& j) {
+        const HostArray &x_new = output(j, "x_new"), &v_new = output(j, "v_new"), &x = input(j, "x");
+        return Items{x.size(), [&x_new, &v_new, &x, dt = j.problem.scalar("dt")](std::int64_t i) {
+                       const double scale = std::max(
+                           {std::abs(x_new.value(i)), std::abs(x_new.value(i) - x.value(i)), 0x1p-120});
+                       return (x_new.value(i) - (x.value(i) + dt * v_new.value(i))) /
+                              std::ldexp(1.0, std::ilogb(scale) - 23);
+                     }};
+      });
+}
+
 Check momentum_check(double tolerance, const std::string& why) {
   return conserved_sum({.name = "momentum",
                         .kind = CheckKind::invariant,

@@ -69,6 +69,9 @@ void store(const TetBody&, Problem&);
 /// of it in dt, over a unit in the last place of x_new or of its change, whichever is larger: 1 between
 /// neighbours.
 Check position_units_check(double v_tolerance);
+/// Largest |x_new - (x + dt v_new)| of the outputs alone, in units in the last place of x_new or of its
+/// change: within one of v_new as it was before it was rounded.
+Check positions_follow_check();
 /// |sum of mass (v_new - v)| over sum of mass (|v_new| + |v_new - v|).
 Check momentum_check(double tolerance, const std::string& why);
 /// Largest |v_new - v| of the particles that appear in no element (the int32 input array `elements`): zero.

@@ -11,6 +11,7 @@
 #include <utility>
 #include <vector>
 
+#include "cases/local_interaction/elastic_hard_inputs.hpp"
 #include "cases/local_interaction/elastic_inputs.hpp"
 #include "core/random.hpp"
 #include "core/task.hpp"
@@ -18,8 +19,13 @@
 namespace gpuphys::fem_explicit {
 namespace {
 
+using elastic::add_tet;
 using elastic::Deformation;
+using elastic::diagonal;
+using elastic::kIdentity;
 using elastic::Mat3;
+using elastic::random_stretch;
+using elastic::separate_tets;
 using elastic::TetBody;
 using elastic::Vec3;
 using elastic::operator*;
@@ -101,62 +107,6 @@ InputSet hard_tight(const std::string& stress, const std::string& about, std::fu
   return hard(stress, about, std::move(make), s, {tight_change(), tight_local()});
 }
 
-double largest_stretch(const Mat3& f) {
-  double square = 0;
-  for (const Vec3& row : f) square += row[0] * row[0] + row[1] * row[1] + row[2] * row[2];
-  return std::sqrt(square);
-}
-
-// A tetrahedron of its own at `place`: a regular corner of edges `size` times `shape`, turned at random,
-// deformed by f. The masses are such that forces of the size `force_scale` mu size^2 change velocities by
-// about 1 m/s.
-void add_tet(TetBody& b, const Vec3& place, double size, const Mat3& shape, const Mat3& f, double force_scale,
-             std::uint64_t seed, std::uint64_t item) {
-  const Mat3 turn = elastic::random_rotation(seed, 60, item);
-  const auto first = static_cast<std::int32_t>(b.x.size());
-  for (std::size_t k = 0; k < 4; ++k) {
-    Vec3 p{};
-    if (k > 0) p[k - 1] = size;
-    p = turn * (shape * p);
-    const Vec3 q = f * p;
-    Vec3 rest, x, v;
-    for (std::size_t d = 0; d < 3; ++d) {
-      rest[d] = place[d] + p[d];
-      x[d] = place[d] + q[d];
-      v[d] = 0.1 * uniform11(seed, 61, 12 * item + 3 * k + d);
-    }
-    b.rest.push_back(rest);
-    b.x.push_back(x);
-    b.v.push_back(v);
-    b.mass.push_back(force_scale * size * size * (1 + 0.5 * uniform01(seed, 62, 4 * item + k)));
-  }
-  b.tets.push_back({first, first + 1, first + 2, first + 3});
-}
-
-Mat3 diagonal(double a, double b, double c) {
-  return {{{a, 0, 0}, {0, b, 0}, {0, 0, c}}};
-}
-constexpr Mat3 kIdentity{{{1, 0, 0}, {0, 1, 0}, {0, 0, 1}}};
-
-// Stretches 10^[low, high) along three directions, between two random rotations.
-Mat3 random_stretch(std::uint64_t seed, std::uint64_t i, double low, double high) {
-  const auto stretch = [&](std::uint64_t d) {
-    return std::pow(10.0, low + (high - low) * uniform01(seed, 65, 3 * i + d));
-  };
-  return elastic::random_rotation(seed, 63, i) * diagonal(stretch(0), stretch(1), stretch(2)) *
-         elastic::random_rotation(seed, 64, i);
-}
-
-TetBody separate_tets(std::uint64_t seed, std::uint64_t count, double low, double high) {
-  TetBody b;
-  for (std::uint64_t i = 0; i < count; ++i) {
-    const Mat3 f = random_stretch(seed, i, low, high);
-    const double size = std::max(largest_stretch(f), std::pow(10.0, -low));
-    add_tet(b, {}, 1, kIdentity, f, 10 * size, seed, i);
-  }
-  return b;
-}
-
 // Squeezed to a fiftieth along one direction, and stretched fifty times.
 TetBody crushed_and_stretched() {
   TetBody b;
@@ -165,16 +115,6 @@ TetBody crushed_and_stretched() {
     const Mat3 f =
         elastic::random_rotation(41, 63, i) * diagonal(1, s, 1) * elastic::random_rotation(41, 64, i);
     add_tet(b, {}, 1, kIdentity, f, 2000, 41, i);
-  }
-  return b;
-}
-
-// Heights of a sixtieth of the base: dihedral angles of about one degree.
-TetBody slivers() {
-  TetBody b;
-  for (std::uint64_t i = 0; i < 257; ++i) {
-    const Mat3 f = random_stretch(42, i, -0.1, 0.1);
-    add_tet(b, {}, 1, diagonal(1, 1, std::tan(std::numbers::pi / 180)), f, 10, 42, i);
   }
   return b;
 }
@@ -258,7 +198,8 @@ std::vector<InputSet> hard_sets() {
   sets.push_back(hard("large_strains", "separate tetrahedra, stretches from 0.1 to 10 along three directions",
                       [] { return separate_tets(47, 1001, -1, 1); }, {1e4, 0.4, 1e-2},
                       {tight_change(), tight_local()}));
-  sets.push_back(hard("slivers", "dihedral angles of one degree", slivers, {1e4, 0.3, 1e-2}));
+  sets.push_back(hard("slivers", "dihedral angles of one degree", [] { return elastic::slivers(42, 257); },
+                      {1e4, 0.3, 1e-2}));
   sets.push_back(hard("three_sizes", "tetrahedra of 1 um, 1 m and 1 km", three_sizes, {1e4, 0.3, 1e-2},
                       {tight_change(), tight_local()}));
   sets.push_back(hard("hub_1000", "1000 tetrahedra have one vertex in common", hub, {1e4, 0.3, 1e-2},

@@ -10,6 +10,7 @@
 #include <utility>
 #include <vector>
 
+#include "cases/local_interaction/elastic_hard_inputs.hpp"
 #include "cases/local_interaction/elastic_inputs.hpp"
 #include "core/random.hpp"
 #include "core/task.hpp"
@@ -110,25 +111,6 @@ SpringBody scaled(double factor) {
   return b;
 }
 
-SpringBody degenerate() {
-  SpringBody b = small_lattice(23);
-  const std::size_t m = b.springs.size();
-  const auto add = [&](std::int32_t i, std::int32_t j, double rest) {
-    b.springs.push_back({i, j});
-    b.rest.push_back(rest);
-  };
-  for (std::size_t j = 0; j < m; ++j) {
-    const auto [p, q] = b.springs[j];
-    if (j % 5 == 0) add(q, p, b.rest[j]);  // the same again, turned round
-    if (j % 7 == 0) add(p, q, b.rest[j]);  // and once more
-    if (j % 11 == 0) add(p, p, 0.5);       // to itself
-    if (j % 13 == 0) add(p, q, 0);         // of rest length 0
-    if (j % 301 == 0)
-      b.x[static_cast<std::size_t>(q)] = b.x[static_cast<std::size_t>(p)];  // ends that coincide
-  }
-  return b;
-}
-
 // Pairs at one place, with and without rest length: no direction, no force.
 SpringBody coincident_pairs() {
   SpringBody b;
@@ -145,50 +127,9 @@ SpringBody coincident_pairs() {
   return b;
 }
 
-SpringBody hub() {
-  constexpr std::int32_t arms = 10000;
-  SpringBody b;
-  b.x.push_back({0.1, -0.2, 0.3});
-  b.v.push_back({0, 0, 0});
-  b.mass.push_back(1000);
-  for (std::int32_t i = 1; i <= arms; ++i) {
-    // A spiral on a half sphere, so that the forces do not cancel.
-    const auto item = static_cast<std::uint64_t>(i);
-    const double z = (i - 0.5) / arms, angle = 2.4 * i, r = std::sqrt(1 - z * z);
-    const double reach = 1.25 + 0.1 * uniform11(25, 50, item);
-    b.x.push_back({0.1 + reach * r * std::cos(angle), -0.2 + reach * r * std::sin(angle), 0.3 + reach * z});
-    b.v.push_back({0, 0, 0});
-    b.mass.push_back(1);
-    b.springs.push_back({i % 2 ? 0 : i, i % 2 ? i : 0});
-    b.rest.push_back(1);
-  }
-  return b;
-}
-
 SpringBody offset() {
   SpringBody b = small_lattice(26);
   for (Vec3& x : b.x) x = {x[0] + 1e4, x[1] - 1e4, x[2] + 1e4};
-  return b;
-}
-
-// n particles at random, m springs between random ones (or from one to itself).
-SpringBody random_graph(std::uint64_t seed, std::uint64_t n, std::uint64_t m) {
-  SpringBody b;
-  for (std::uint64_t i = 0; i < n; ++i) {
-    Vec3 x, v;
-    for (std::size_t d = 0; d < 3; ++d) {
-      x[d] = 2 * uniform11(seed, 50, 3 * i + d);
-      v[d] = uniform11(seed, 51, 3 * i + d);
-    }
-    b.x.push_back(x);
-    b.v.push_back(v);
-    b.mass.push_back(std::pow(10.0, 2 * uniform11(seed, 52, i)));
-  }
-  for (std::uint64_t j = 0; j < m; ++j) {
-    b.springs.push_back({static_cast<std::int32_t>(random_bits(seed, 53, j) % n),
-                         static_cast<std::int32_t>(random_bits(seed, 54, j) % n)});
-    b.rest.push_back(2 * uniform01(seed, 55, j));
-  }
   return b;
 }
 
@@ -252,16 +193,21 @@ std::vector<InputSet> hard_sets() {
                             [] { return scaled(0x1p-49); }));
   sets.push_back(
       hard_tight("huge", "a lattice 2^49 times larger: springs of 6e14 m", [] { return scaled(0x1p49); }));
-  sets.push_back(hard("degenerate",
-                      "repeated springs, springs to the same particle, of rest length 0, of length 0",
-                      degenerate));
+  sets.push_back(
+      hard("degenerate", "repeated springs, springs to the same particle, of rest length 0, of length 0", [] {
+        SpringBody b = small_lattice(23);
+        elastic::make_degenerate(b);
+        return b;
+      }));
   sets.push_back(hard("coincident", "pairs at one place, held by nothing else", coincident_pairs, {},
                       {elastic::velocity_kept_check(0, "a spring without a direction has no force")}));
-  sets.push_back(hard("hub_10000", "one particle holds 10000 springs", hub));
+  sets.push_back(hard("hub_10000", "one particle holds 10000 springs",
+                      [] { return elastic::hub_of_springs(10000, 25); }));
   sets.push_back(hard_tight("offset_1e4", "a lattice 10 km off the origin along each axis", offset));
   sets.push_back(hard("random_graph", "1025 particles, 10007 springs between any two",
-                      [] { return random_graph(30, 1025, 10007); }, {1, 1e-3}));
-  sets.push_back(hard("odd_33", "33 particles, 31 springs", [] { return random_graph(31, 33, 31); }));
+                      [] { return elastic::random_graph(30, 1025, 10007); }, {1, 1e-3}));
+  sets.push_back(
+      hard("odd_33", "33 particles, 31 springs", [] { return elastic::random_graph(31, 33, 31); }));
   sets.push_back(
       hard("exact_rest", "every spring has its rest length exactly", exact_rest, {},
            {elastic::velocity_kept_check(1000 * 0.005 / 0.5 * 5 * 5 * 0x1p-22,
@@ -270,7 +216,7 @@ std::vector<InputSet> hard_sets() {
   sets.push_back(hard("one_spring", "two particles, numbers that are exact", one_spring, {8, 0.25},
                       {known("v_new", {0, 2, 0, 0, -0.5, 2}), known("x_new", {1, 2.5, 3, 1, 3.875, 3.5})}));
   sets.push_back(hard("one_particle", "a single particle with a spring to itself",
-                      [] { return random_graph(32, 1, 1); }, {},
+                      [] { return elastic::random_graph(32, 1, 1); }, {},
                       {elastic::velocity_kept_check(0, "nothing acts on it")}));
   return sets;
 }

@@ -6,12 +6,12 @@
 #include <cstddef>
 #include <cstdint>
 
+#include "serial_baselines/particle_grid/elasticity.hpp"
+
 namespace gpuphys::serial {
 
 template <class Real>
-using Vector3 = std::array<Real, 3>;
-template <class Real>
-using Matrix3 = std::array<Vector3<Real>, 3>;  // rows
+using Vector3 = std::array<Real, 3>;  // Matrix3 has rows of these
 
 /// a - b, of rows i and j of arrays of positions.
 template <class Real, class Positions>
@@ -42,12 +42,6 @@ Matrix3<Real> cofactors(const Matrix3<Real>& a) {
     }
   }
   return c;
-}
-
-template <class Real>
-Real determinant(const Matrix3<Real>& a) {
-  const Matrix3<Real> c = cofactors(a);
-  return a[0][0] * c[0][0] + a[0][1] * c[0][1] + a[0][2] * c[0][2];
 }
 
 template <class Real>
