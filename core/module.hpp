@@ -102,11 +102,15 @@ const gpuphys_module* module_table(const char* task) {
     return ::gpuphys::detail::module_table<solver_, ::gpuphys::task_::Inputs,                         \
                                            ::gpuphys::task_::Outputs<real_>, space_, dtype_>(#task_); \
   }
-/// A module whose data pointers are device memory.
-#define GPUPHYS_DEVICE_MODULE(task_, solver_) \
-  GPUPHYS_MODULE_(task_, solver_, GPUPHYS_DEVICE, float, GPUPHYS_F32)
 /// A module whose data pointers are host memory and whose outputs are float32.
 #define GPUPHYS_HOST_MODULE(task_, solver_) GPUPHYS_MODULE_(task_, solver_, GPUPHYS_HOST, float, GPUPHYS_F32)
+/// A module whose data pointers are device memory.
+#ifdef GPUPHYS_EMULATED  // its kernels run on the CPU (tests/emulation)
+#define GPUPHYS_DEVICE_MODULE(task_, solver_) GPUPHYS_HOST_MODULE(task_, solver_)
+#else
+#define GPUPHYS_DEVICE_MODULE(task_, solver_) \
+  GPUPHYS_MODULE_(task_, solver_, GPUPHYS_DEVICE, float, GPUPHYS_F32)
+#endif
 
 /// A serial baseline: a class template over Real, built once as FP64 truth and again as FP32 variants
 /// (GPUPHYS_BASELINE_REAL is set by cmake/GpuphysTask.cmake).
