@@ -20,7 +20,11 @@ using collision::Cubic;
 using collision::Moving;
 using collision::MovingVertex;
 
-constexpr int kWarps = 4, kResidentWarps = 24;
+#ifdef GPUPHYS_OTHER_BLOCKS  // the broad phase has others as well
+constexpr int kWarps = 2, kResidentWarps = 16;
+#else
+constexpr int kWarps = 4, kResidentWarps = 24;  // of a block, on a multiprocessor
+#endif
 
 // A vertex and an edge: w from the edge's first end to the vertex, u along the edge. w and d are in one unit,
 // u in another.

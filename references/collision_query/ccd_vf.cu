@@ -18,7 +18,11 @@ namespace {
 using collision::Moving;
 using collision::MovingVertex;
 
-constexpr int kWarps = 4, kResidentWarps = 24;
+#ifdef GPUPHYS_OTHER_BLOCKS  // the broad phase has others as well
+constexpr int kWarps = 2, kResidentWarps = 16;
+#else
+constexpr int kWarps = 4, kResidentWarps = 24;  // of a block, on a multiprocessor
+#endif
 constexpr float kMargin = 0x1p-20f;     // of the fractions s and r
 constexpr float kBoxMargin = 0x1p-18f;  // of a triangle's box: more than what the margin above reaches
 

@@ -20,7 +20,11 @@ namespace {
 using collision::MovingVertex;
 using collision::operator-;
 
-constexpr int kWarps = 4, kResidentWarps = 32;
+#ifdef GPUPHYS_OTHER_BLOCKS  // the broad phase has others as well
+constexpr int kWarps = 2, kResidentWarps = 16;
+#else
+constexpr int kWarps = 4, kResidentWarps = 32;  // of a block, on a multiprocessor
+#endif
 
 // 1 if the two never come within d.
 __device__ __forceinline__ float first_contact(const MovingVertex& i, const MovingVertex& j, float d) {
