@@ -1,5 +1,5 @@
-// Broad phase of the collision tasks, on the device alone: a uniform grid over the centres of boxes swept
-// over the step.
+// Boxes swept over the step by the edges or triangles of a moving mesh, and a uniform grid over their
+// centres: what the broad phases of the collision tasks are made of. Everything happens on the device.
 //
 // The grid's cell is the mean extent of the boxes; its number of cells is bounded by a capacity that depends
 // on the number of boxes only, for which the cell grows where the scene is sparse. A box is entered once, in
@@ -23,6 +23,8 @@
 #include <cuda_runtime.h>
 
 #include <cstdint>
+
+#include "core/module.hpp"
 
 namespace gpuphys::collision {
 
@@ -146,42 +148,70 @@ struct CompactBox {
   unsigned along;    ///< lower and upper end along the diagonal, 16 bits each, in units from the low corner
 };
 
-__device__ __forceinline__ float least_of(float a, float b, float c, float d) {
-  return fminf(fminf(a, b), fminf(c, d));
+template <int P>
+__device__ __forceinline__ float least_of(const float (&x)[P]) {
+  float least = x[0];
+#pragma unroll
+  for (int k = 1; k < P; ++k) least = fminf(least, x[k]);
+  return least;
 }
-__device__ __forceinline__ float largest_of(float a, float b, float c, float d) {
-  return fmaxf(fmaxf(a, b), fmaxf(c, d));
+template <int P>
+__device__ __forceinline__ float largest_of(const float (&x)[P]) {
+  float largest = x[0];
+#pragma unroll
+  for (int k = 1; k < P; ++k) largest = fmaxf(largest, x[k]);
+  return largest;
 }
 
-/// Adds the extents of what moves from a0, b0 to a1, b1.
-__device__ __forceinline__ void add_extents(float (&sums)[kExtents], float3 a0, float3 b0, float3 a1,
-                                            float3 b1) {
-  const auto extent = [](float a, float b, float c, float d) {
-    return largest_of(a, b, c, d) - least_of(a, b, c, d);
-  };
-  const float along[3] = {extent(a0.x, b0.x, a1.x, b1.x), extent(a0.y, b0.y, a1.y, b1.y),
-                          extent(a0.z, b0.z, a1.z, b1.z)};
+/// Where the corners of a primitive are at t = 0 and at t = 1.
+template <int P>
+struct Points {
+  float x[P], y[P], z[P];
+
+  __device__ __forceinline__ void set(int k, float3 a) {
+    x[k] = a.x;
+    y[k] = a.y;
+    z[k] = a.z;
+  }
+};
+
+/// Adds the extents of what sweeps from some of the points to the others.
+template <int P>
+__device__ __forceinline__ void add_extents(float (&sums)[kExtents], const Points<P>& points) {
+  const auto extent = [](const float(&a)[P]) { return largest_of(a) - least_of(a); };
+  const float along[3] = {extent(points.x), extent(points.y), extent(points.z)};
   sums[kLargest] += fmaxf(fmaxf(along[0], along[1]), along[2]);
 #pragma unroll
   for (int d = 0; d < 3; ++d) sums[kAlong + d] += along[d];
 #pragma unroll
   for (int k = 0; k < kDiagonals; ++k) {
-    const auto at = [k](float3 x) { return diagonal(k).of(x.x, x.y, x.z); };
-    sums[kAlongDiagonal + k] += extent(at(a0), at(b0), at(a1), at(b1));
+    float at[P];
+#pragma unroll
+    for (int q = 0; q < P; ++q) at[q] = diagonal(k).of(points.x[q], points.y[q], points.z[q]);
+    sums[kAlongDiagonal + k] += extent(at);
   }
 }
 
-/// The box of what moves from a0, b0 to a1, b1.
-__device__ __forceinline__ CompactBox compact_box(const Diagonal& diagonal, float3 a0, float3 b0, float3 a1,
-                                                  float3 b1) {
+/// The box of what sweeps from some of the points to the others, `beyond` times its largest extent wider on
+/// each side (0 or a power of two of which 1/256 is much more).
+template <int P>
+__device__ __forceinline__ CompactBox compact_box(const Diagonal& diagonal, const Points<P>& points,
+                                                  float beyond = 0.0f) {
   CompactBox box;
-  box.low[0] = least_of(a0.x, b0.x, a1.x, b1.x);
-  box.low[1] = least_of(a0.y, b0.y, a1.y, b1.y);
-  box.low[2] = least_of(a0.z, b0.z, a1.z, b1.z);
-  const float extent[3] = {largest_of(a0.x, b0.x, a1.x, b1.x) - box.low[0],
-                           largest_of(a0.y, b0.y, a1.y, b1.y) - box.low[1],
-                           largest_of(a0.z, b0.z, a1.z, b1.z) - box.low[2]};
-  const float largest = fmaxf(fmaxf(extent[0], extent[1]), fmaxf(extent[2], 1e-30f));
+  box.low[0] = least_of(points.x);
+  box.low[1] = least_of(points.y);
+  box.low[2] = least_of(points.z);
+  float extent[3] = {largest_of(points.x) - box.low[0], largest_of(points.y) - box.low[1],
+                     largest_of(points.z) - box.low[2]};
+  float largest = fmaxf(fmaxf(extent[0], extent[1]), fmaxf(extent[2], 1e-30f));
+  if (beyond > 0.0f) {
+    const float wider = beyond * largest;
+    for (int d = 0; d < 3; ++d) {
+      box.low[d] = __fadd_rd(box.low[d], -wider);
+      extent[d] += 3.0f * wider;
+    }
+    largest += 3.0f * wider;
+  }
   // In a unit of 2^(e - 134), e the exponent below, the largest extent is less than 256 / (1 + 2^-7) < 254.1.
   const int e = static_cast<int>(__float_as_uint((1.0f + 0x1p-7f) * largest) >> 23);
   const float units = __uint_as_float(static_cast<unsigned>(261 - e) << 23);
@@ -191,12 +221,13 @@ __device__ __forceinline__ CompactBox compact_box(const Diagonal& diagonal, floa
 #pragma unroll
   for (int d = 0; d < 3; ++d)
     box.extents |= static_cast<unsigned>(ceilf(extent[d] * units + slack)) << (8 * d);
-  const auto along = [&](float3 x) {
-    return diagonal.of(x.x - box.low[0], x.y - box.low[1], x.z - box.low[2]);
-  };
-  const float a = along(a0), b = along(b0), c = along(a1), d = along(b1);
-  const int low = static_cast<int>(floorf(least_of(a, b, c, d) * units - slack));
-  const int high = static_cast<int>(ceilf(largest_of(a, b, c, d) * units + slack));
+  float along[P];
+#pragma unroll
+  for (int k = 0; k < P; ++k)
+    along[k] = diagonal.of(points.x[k] - box.low[0], points.y[k] - box.low[1], points.z[k] - box.low[2]);
+  const float margin = slack + 1024.0f * beyond;
+  const int low = static_cast<int>(floorf(least_of(along) * units - margin));
+  const int high = static_cast<int>(ceilf(largest_of(along) * units + margin));
   box.along = (static_cast<unsigned>(low) & 0xffffu) | static_cast<unsigned>(high) << 16;
   return box;
 }
@@ -231,6 +262,14 @@ __device__ __forceinline__ int cell_of(const Grid& g, const SweptBox& box, int c
   if (box.extent() > g.large) return cell_capacity;
   return g.row(g.coordinate(box.centre(1), 1), g.coordinate(box.centre(2), 2)) +
          g.coordinate(box.centre(0), 0);
+}
+
+/// How many multiprocessors the current device has.
+inline int multiprocessors() {
+  int device = 0, count = 0;
+  GPUPHYS_CUDA(cudaGetDevice(&device));
+  GPUPHYS_CUDA(cudaDeviceGetAttribute(&count, cudaDevAttrMultiProcessorCount, device));
+  return count;
 }
 
 }  // namespace gpuphys::collision
