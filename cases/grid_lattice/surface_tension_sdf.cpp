@@ -306,7 +306,7 @@ Task make_task() {
   for (InputSet& s : hard_sets()) t.sets.push_back(std::move(s));
   t.checks = {
       force::relative_l2(1e-4, "the paper's table of inputs and checks"),
-      force::local(1e-3, "rounding of second differences shows 1e-4 of the rms at most at paper size"),
+      force::local(2e-3, "rounding of second differences shows 2.4e-4 of the rms at paper size; a cell left out is ten rms or more"),
       outside_band(),
   };
   t.target_floor_multiple = 1.08;
