@@ -186,7 +186,7 @@ Task make_task() {
   for (InputSet& s : hard_sets()) t.sets.push_back(std::move(s));
   t.checks = {
       force::relative_l2(5e-4, "the paper's table of inputs and checks"),
-      force::local(2e-4, "FP32 shows 2e-5 of the rms at paper size"),
+      force::local(6e-4, "FP32 shows 6e-5 of the rms at paper size"),
   };
   t.target_floor_multiple = 1.08;
   return t;
