@@ -15,7 +15,7 @@
 
 #include <cstdint>
 
-#include "core/module.hpp"
+#include "core/contract/module.hpp"
 #include "references/common/device_buffer.cuh"
 #include "references/global_solve/multigrid_solver.cuh"
 
