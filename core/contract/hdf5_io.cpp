@@ -3,6 +3,8 @@
 #include <fcntl.h>
 #include <fmt/format.h>
 #include <hdf5.h>
+#include <sys/file.h>
+#include <sys/mman.h>
 #include <sys/resource.h>
 #include <sys/wait.h>
 #include <unistd.h>
@@ -12,11 +14,15 @@
 #include <csignal>
 #include <cstring>
 #include <filesystem>
+#include <new>
+#include <nlohmann/json.hpp>
 #include <optional>
 #include <utility>
 
 #include "core/base/files.hpp"
+#include "core/base/text.hpp"
 #include "core/base/version.hpp"
+#include "core/contract/valid.hpp"
 #include "core/records/results.hpp"
 
 namespace gpuphys {
@@ -63,7 +69,8 @@ class Id {
 
 /// Every failure is reported as an Error; HDF5's own stack trace on stderr would only bury it.
 void silence() {
-  static const bool done = H5Eset_auto2(H5E_DEFAULT, nullptr, nullptr) >= 0;
+  // What could not be written (a full disk) would be tried again by the library's exit handler, and crash there.
+  static const bool done = H5dont_atexit() >= 0 && H5Eset_auto2(H5E_DEFAULT, nullptr, nullptr) >= 0;
   if (!done) throw Error(ExitCode::internal, "cannot switch off HDF5's error printing");
 }
 
@@ -256,8 +263,8 @@ int read_int_attribute(hid_t object, const char* name, const std::string& where)
 class Writer {
  public:
   Writer(const std::string& path, FileKind kind, const Task& task, const std::string& set,
-         const std::string& provenance, Storage storage)
-      : path_(path), storage_(storage), pending_(path) {
+         const std::string& provenance)
+      : path_(path), pending_(path) {
     silence();
     const Id access(H5Pcreate(H5P_FILE_ACCESS), H5Pclose);
     // The 1.10 format carries checksums over all of its own structures; older ones do not.
@@ -281,20 +288,20 @@ class Writer {
     if (a.size() > 0 && !extents.empty()) {
       const std::vector<hsize_t> chunk = chunk_shape(extents, size_of(a.dtype()));
       ok = ok && H5Pset_chunk(properties, static_cast<int>(chunk.size()), chunk.data()) >= 0;
-      if (storage_ == Storage::compressed) {
-        ok = ok && H5Pset_shuffle(properties) >= 0 && H5Pset_deflate(properties, kDeflateLevel) >= 0;
-      }
+      ok = ok && H5Pset_shuffle(properties) >= 0 && H5Pset_deflate(properties, kDeflateLevel) >= 0;
       // The checksum comes last, so that it covers the bytes as they lie on the disk.
       ok = ok && H5Pset_fletcher32(properties) >= 0;
     }
     const Id type = stored_type(a.dtype());
-    const Id dataset(H5Dcreate2(file_, a.name().c_str(), type, space, H5P_DEFAULT, properties, H5P_DEFAULT),
-                     H5Dclose);
+    require_room(a.bytes());
+    Id dataset(H5Dcreate2(file_, a.name().c_str(), type, space, H5P_DEFAULT, properties, H5P_DEFAULT), H5Dclose);
     ok = ok && dataset.valid() &&
          H5Dwrite(dataset, memory_type(a.dtype()), H5S_ALL, H5S_ALL, H5P_DEFAULT, a.data()) >= 0;
     if (!ok) bad(where(), fmt::format("array '{}' cannot be written (disk full?)", a.name()));
     write_attribute(dataset, "unit", a.unit());
     write_attribute(dataset, "shape", symbolic_shape);
+    // Chunks that are still in the library's cache reach the disk now.
+    if (!dataset.reset()) bad(where(), fmt::format("array '{}' cannot be written (disk full?)", a.name()));
   }
 
   void scalar(const Scalar& s, const std::string& unit) {
@@ -317,12 +324,26 @@ class Writer {
   }
 
   void close() {
+    require_room(0);
+    if (H5Fflush(file_, H5F_SCOPE_GLOBAL) < 0) bad(where(), "cannot be written completely (disk full?)");
     if (!file_.reset()) bad(where(), "cannot be written completely (disk full?)");
     pending_.commit();
   }
 
  private:
-  std::string where() const { return fmt::format("'{}'", path_); }
+  std::string where() const { return fmt::format("'{}'", printable(path_)); }
+
+  /// Asked before, because HDF5 1.10 does not always survive a disk that fills up under it.
+  void require_room(std::size_t bytes) const {
+    std::error_code ec;
+    const fs::path folder = fs::path(path_).parent_path();
+    const auto room = fs::space(folder.empty() ? fs::path(".") : folder, ec);
+    constexpr std::uintmax_t kMargin = 64 << 10;
+    if (!ec && room.available < bytes + kMargin) {
+      bad(where(), fmt::format("disk full: up to {} KiB are needed, {} KiB are free", (bytes + kMargin) >> 10,
+                               room.available >> 10));
+    }
+  }
 
   /// Whole trailing dimensions, as much of the leading ones as fits in a chunk.
   static std::vector<hsize_t> chunk_shape(std::vector<hsize_t> chunk, std::size_t element) {
@@ -338,7 +359,6 @@ class Writer {
   }
 
   std::string path_;
-  Storage storage_;
   PendingFile pending_;
   Id file_;
 };
@@ -354,6 +374,11 @@ Id open_file(const std::string& path) {
   if (fs::file_size(path, ec) == 0 && !ec) bad(where, "the file is empty");
   Id file(H5Fopen(path.c_str(), H5F_ACC_RDONLY, H5P_DEFAULT), H5Fclose);
   if (file.valid()) return file;
+  if (const int fd = ::open(path.c_str(), O_RDONLY | O_CLOEXEC); fd >= 0) {
+    const bool locked = ::flock(fd, LOCK_SH | LOCK_NB) != 0 && errno == EWOULDBLOCK;
+    ::close(fd);
+    if (locked) bad(where, "it is locked by another program (is it still being written?)");
+  }
   // Which of the three it is: not HDF5, HDF5 that ends too early, or damaged.
   const std::string signature("\x89HDF\r\n\x1a\n", 8);
   const std::string head = read_file(path).substr(0, signature.size());
@@ -410,6 +435,10 @@ Opened open_dataset(hid_t file, const std::string& name, DType wanted, const std
   const htri_t there = H5Lexists(file, name.c_str(), H5P_DEFAULT);
   if (there < 0) bad(where, "truncated or corrupt (its table of contents cannot be read)");
   if (there == 0) bad(where, fmt::format("{} '{}' is missing", kind, name));
+  // A link may lead out of the file, to anything: a pipe that nobody writes to, another user's data.
+  H5L_info_t link{};
+  if (H5Lget_info(file, name.c_str(), &link, H5P_DEFAULT) < 0) bad(what, "truncated or corrupt");
+  if (link.type != H5L_TYPE_HARD) bad(what, "it is a link, not a dataset of this file");
   const Id object(H5Oopen(file, name.c_str(), H5P_DEFAULT), H5Oclose);
   if (!object.valid()) bad(what, "truncated or corrupt");
   if (H5Iget_type(object) != H5I_DATASET) bad(what, "it is not a dataset");
@@ -507,70 +536,158 @@ void require_info(const FileInfo& info, const Task& task, std::initializer_list<
   bad(where, fmt::format("it holds {}, expected {}", info.kind, expected));
 }
 
-/// HDF5 1.10 does not survive every damaged file (its older structures carry no checksums). So a file from
-/// elsewhere is first read by a child process; if that dies, the file is corrupt and this process lives on to
-/// say so.
+/// What a file held.
+struct Parsed {
+  FileInfo info;
+  Arrays arrays;
+  std::vector<Scalar> scalars;
+};
+
+// ---- reading in a child ----
+
+// HDF5 1.10 does not survive every damaged file (its older structures carry no checksums), and what one process
+// survives may kill the next. So a file is read by a child only, which hands over what it read through shared memory: a
+// JSON head of kHeadBytes, then the arrays, each from a page of its own on.
+constexpr std::size_t kHeadBytes = 64 << 10, kPage = 4096;
+
+using nlohmann::json;
+
+void write_all(int fd, const void* data, std::size_t bytes, std::size_t at) {
+  const char* from = static_cast<const char*>(data);
+  while (bytes > 0) {
+    const ssize_t n = ::pwrite(fd, from, bytes, static_cast<off_t>(at));
+    if (n <= 0) throw std::bad_alloc();
+    from += n;
+    at += static_cast<std::size_t>(n);
+    bytes -= static_cast<std::size_t>(n);
+  }
+}
+
+void hand_over(int fd, const json& head) {
+  const std::string text = head.dump(-1, ' ', false, json::error_handler_t::replace);
+  if (text.size() >= kHeadBytes) throw Error(ExitCode::internal, "the head of a parsed file is too long");
+  write_all(fd, text.c_str(), text.size() + 1, 0);
+}
+
+void hand_over(int fd, const Parsed& parsed) {
+  json arrays = json::array(), scalars = json::array();
+  std::size_t at = kHeadBytes;
+  for (const HostArray& a : parsed.arrays) {
+    arrays.push_back({a.name(), static_cast<int>(a.dtype()), a.shape(), a.unit(), at});
+    write_all(fd, a.data(), a.bytes(), at);
+    at += (a.bytes() + kPage - 1) / kPage * kPage;
+  }
+  if (::ftruncate(fd, static_cast<off_t>(at)) != 0) throw std::bad_alloc();
+  for (const Scalar& s : parsed.scalars)
+    scalars.push_back({s.name, static_cast<int>(s.dtype), fmt::format("{:a}", s.value)});
+  const FileInfo& i = parsed.info;
+  hand_over(fd, {{"info", {i.schema, i.kind, i.task, i.set, i.suite_version, i.created, i.provenance}},
+                 {"arrays", arrays},
+                 {"scalars", scalars}});
+}
+
+Parsed taken_over(int fd, const std::string& where) {
+  const off_t size = ::lseek(fd, 0, SEEK_END);
+  if (size < 2) bad(where, "truncated or corrupt HDF5 file");
+  std::string text(std::min<std::size_t>(static_cast<std::size_t>(size), kHeadBytes), '\0');
+  if (::pread(fd, text.data(), text.size(), 0) != static_cast<ssize_t>(text.size())) bad(where, "cannot be read");
+  const json head = json::parse(text.c_str());
+  if (head.contains("error")) throw Error(static_cast<ExitCode>(head.at("code").get<int>()), head.at("error").get<std::string>());
+  Parsed parsed;
+  const json& i = head.at("info");
+  parsed.info = {i[0].get<int>(),         i[1].get<std::string>(), i[2].get<std::string>(), i[3].get<std::string>(),
+                 i[4].get<std::string>(), i[5].get<std::string>(), i[6].get<std::string>()};
+  for (const json& a : head.at("arrays")) {
+    HostArray array(a[0].get<std::string>(), static_cast<DType>(a[1].get<int>()), a[2].get<Shape>(), a[3].get<std::string>());
+    auto* to = static_cast<char*>(array.data());
+    for (std::size_t done = 0; done < array.bytes();) {
+      const ssize_t n = ::pread(fd, to + done, array.bytes() - done, static_cast<off_t>(a[4].get<std::size_t>() + done));
+      if (n <= 0) bad(where, "cannot be read");
+      done += static_cast<std::size_t>(n);
+    }
+    parsed.arrays.push_back(std::move(array));
+  }
+  for (const json& s : head.at("scalars")) {
+    parsed.scalars.push_back({s[0].get<std::string>(), static_cast<DType>(s[1].get<int>()),
+                              std::strtod(s[2].get<std::string>().c_str(), nullptr)});
+  }
+  return parsed;
+}
+
 template <class F>
-void probe(const std::string& path, F&& read) {
-  constexpr int kFailedCleanly = 61;  // no code that a sanitizer or the C library ends with
+Parsed in_child(const std::string& path, F&& read) {
+  const std::string where = fmt::format("'{}'", printable(path));
   std::error_code ec;
   const std::uintmax_t size = fs::file_size(path, ec);
-  const pid_t child = ::fork();
+  const int memory = ::memfd_create("gpuphys-hdf5", MFD_CLOEXEC);
+  const pid_t child = memory < 0 ? -1 : ::fork();
   if (child < 0) throw Error(ExitCode::internal, "cannot start a process to read a file in");
   if (child == 0) {
-    for (const int signal : {SIGSEGV, SIGBUS, SIGABRT, SIGFPE, SIGILL, SIGXCPU}) ::signal(signal, SIG_DFL);
+    for (const int signal : {SIGSEGV, SIGBUS, SIGABRT, SIGFPE, SIGILL, SIGXCPU, SIGALRM}) ::signal(signal, SIG_DFL);
     rlimit limit{};
     ::setrlimit(RLIMIT_CORE, &limit);
-    // Damage can also make it loop for ever: no file takes longer than this to read.
+    // Damage can also make it loop or wait for ever: no file takes longer than this to read.
     limit.rlim_cur = limit.rlim_max = 10 + (ec ? 0 : size >> 22);
     ::setrlimit(RLIMIT_CPU, &limit);
+    ::alarm(static_cast<unsigned>(6 * limit.rlim_cur));
     if (const int null = ::open("/dev/null", O_WRONLY); null >= 0) ::dup2(null, STDERR_FILENO);
     try {
-      read();
+      try {
+        hand_over(memory, read());
+      } catch (const Error& e) {
+        hand_over(memory, json{{"error", e.what()}, {"code", static_cast<int>(e.code())}});
+      } catch (const std::bad_alloc&) {
+        hand_over(memory, json{{"error", where + ": out of host memory"}, {"code", static_cast<int>(ExitCode::out_of_memory)}});
+      }
     } catch (...) {
-      ::_exit(kFailedCleanly);
+      ::_exit(1);
     }
     ::_exit(0);
   }
   int status = 0;
   while (::waitpid(child, &status, 0) < 0 && errno == EINTR) {
   }
-  if (!WIFEXITED(status) || (WEXITSTATUS(status) != 0 && WEXITSTATUS(status) != kFailedCleanly)) {
-    bad(fmt::format("'{}'", path), "truncated or corrupt HDF5 file (the HDF5 library cannot survive it)");
-  }
+  struct Closer {
+    int fd;
+    ~Closer() { ::close(fd); }
+  } closer{memory};
+  if (!WIFEXITED(status) || WEXITSTATUS(status) != 0)
+    bad(where, "truncated or corrupt HDF5 file (the HDF5 library cannot survive it)");
+  return taken_over(memory, where);
 }
 
-Problem problem_in(const std::string& path, const Task& task) {
-  const std::string where = fmt::format("'{}'", path);
+Parsed problem_in(const std::string& path, const Task& task) {
+  const std::string where = fmt::format("'{}'", printable(path));
   const Id file = open_file(path);
-  require_info(info_of(file, where), task, {FileKind::inputs}, where);
-  Problem problem;
-  for (const ArraySpec& spec : task.contract.inputs) {
-    problem.inputs.push_back(read_array(file, spec, spec.dtype, nullptr, where));
-  }
-  for (const ScalarSpec& spec : task.contract.scalars)
-    problem.scalars.push_back(read_scalar(file, spec, where));
-  resolve_symbols(task.contract, problem, where);
-  return problem;
+  Parsed parsed;
+  parsed.info = info_of(file, where);
+  require_info(parsed.info, task, {FileKind::inputs}, where);
+  for (const ArraySpec& spec : task.contract.inputs)
+    parsed.arrays.push_back(read_array(file, spec, spec.dtype, nullptr, where));
+  for (const ScalarSpec& spec : task.contract.scalars) parsed.scalars.push_back(read_scalar(file, spec, where));
+  return parsed;
 }
 
-Arrays arrays_in(const std::string& path, const Task& task, const Problem& problem, DType real) {
-  const std::string where = fmt::format("'{}'", path);
+Parsed arrays_in(const std::string& path, const Task& task, const Problem& problem, DType real) {
+  const std::string where = fmt::format("'{}'", printable(path));
   const Id file = open_file(path);
-  require_info(info_of(file, where), task, {FileKind::outputs, FileKind::truth}, where);
+  Parsed parsed;
+  parsed.info = info_of(file, where);
+  require_info(parsed.info, task, {FileKind::outputs, FileKind::truth}, where);
   const auto symbols = resolve_symbols(task.contract, problem, "inputs");
-  Arrays arrays;
   for (const ArraySpec& spec : task.contract.outputs) {
     const bool floating = spec.dtype == DType::f32 || spec.dtype == DType::f64;
     const Shape expected = evaluate_shape(spec, symbols);
-    arrays.push_back(read_array(file, spec, floating ? real : spec.dtype, &expected, where));
+    parsed.arrays.push_back(read_array(file, spec, floating ? real : spec.dtype, &expected, where));
   }
-  return arrays;
+  return parsed;
 }
 
-FileInfo info_in(const std::string& path) {
+Parsed info_in(const std::string& path) {
   const Id file = open_file(path);
-  return info_of(file, fmt::format("'{}'", path));
+  Parsed parsed;
+  parsed.info = info_of(file, fmt::format("'{}'", printable(path)));
+  return parsed;
 }
 
 }  // namespace
@@ -588,8 +705,8 @@ std::string to_string(FileKind kind) {
 }
 
 void write_problem(const std::string& path, const Task& task, const std::string& set, const Problem& problem,
-                   const std::string& provenance, Storage storage) {
-  Writer writer(path, FileKind::inputs, task, set, provenance, storage);
+                   const std::string& provenance) {
+  Writer writer(path, FileKind::inputs, task, set, provenance);
   for (const ArraySpec& spec : task.contract.inputs)
     writer.array(find(problem.inputs, spec.name, "inputs"), spec.shape);
   for (const ScalarSpec& spec : task.contract.scalars) {
@@ -599,27 +716,30 @@ void write_problem(const std::string& path, const Task& task, const std::string&
 }
 
 void write_arrays(const std::string& path, FileKind kind, const Task& task, const std::string& set,
-                  const Arrays& arrays, const std::string& provenance, Storage storage) {
-  Writer writer(path, kind, task, set, provenance, storage);
+                  const Arrays& arrays, const std::string& provenance) {
+  Writer writer(path, kind, task, set, provenance);
   for (const ArraySpec& spec : task.contract.outputs)
     writer.array(find(arrays, spec.name, "outputs"), spec.shape);
   writer.close();
 }
 
 FileInfo read_info(const std::string& path) {
-  probe(path, [&] { info_in(path); });
-  return info_in(path);
+  return in_child(path, [&] { return info_in(path); }).info;
 }
 
 Problem read_problem(const std::string& path, const Task& task) {
-  probe(path, [&] { problem_in(path, task); });
-  return problem_in(path, task);
+  Parsed parsed = in_child(path, [&] { return problem_in(path, task); });
+  Problem problem;
+  problem.inputs = std::move(parsed.arrays);
+  problem.scalars = std::move(parsed.scalars);
+  const std::string where = fmt::format("'{}'", printable(path));
+  resolve_symbols(task.contract, problem, where);
+  require_valid(task.contract, problem, where);
+  return problem;
 }
 
-Arrays read_arrays(const std::string& path, const Task& task, const Problem& problem, DType real,
-                   Origin origin) {
-  if (origin == Origin::foreign) probe(path, [&] { arrays_in(path, task, problem, real); });
-  return arrays_in(path, task, problem, real);
+Arrays read_arrays(const std::string& path, const Task& task, const Problem& problem, DType real) {
+  return in_child(path, [&] { return arrays_in(path, task, problem, real); }).arrays;
 }
 
 }  // namespace gpuphys

@@ -21,10 +21,6 @@ inline constexpr int kHdf5Schema = 1;
 enum class FileKind { inputs, outputs, truth };
 std::string to_string(FileKind);
 
-enum class Storage {
-  compressed,   ///< chunked, shuffle, deflate, fletcher32: for files that leave the machine
-  checksummed,  ///< chunked, fletcher32, not compressed: for caches
-};
 
 /// What a file says about itself.
 struct FileInfo {
@@ -35,29 +31,25 @@ struct FileInfo {
 /// Writes the inputs and scalars of a problem. The file appears under `path` only when it is complete.
 /// Throws Error(bad_input) when it cannot be written.
 void write_problem(const std::string& path, const Task&, const std::string& set, const Problem&,
-                   const std::string& provenance = "", Storage = Storage::compressed);
+                   const std::string& provenance = "");
 
 /// Writes outputs or truth.
 void write_arrays(const std::string& path, FileKind, const Task&, const std::string& set, const Arrays&,
-                  const std::string& provenance = "", Storage = Storage::compressed);
+                  const std::string& provenance = "");
 
 /// The root attributes. Attributes that are absent leave their field empty (files by other writers need not
 /// have them).
 FileInfo read_info(const std::string& path);
 
 /// Reads a problem and checks it against the contract: every array and scalar present, of its type and rank,
-/// shapes that agree with each other. Throws Error(bad_input), one line naming the file, the array, what it
+/// shapes that agree with each other, values that are valid. The file is parsed by a child process, because HDF5 1.10 can
+/// crash on a damaged one. Throws Error(bad_input), one line naming the file, the array, what it
 /// has and what was expected.
 Problem read_problem(const std::string& path, const Task&);
-
-/// Who wrote a file. Files from elsewhere are read in a child process first, because HDF5 1.10 can crash on a
-/// damaged one; what this suite wrote carries checksums over everything.
-enum class Origin { foreign, own };
 
 /// Reads the contract's outputs with the shapes that `problem` implies. `real` is the type that
 /// floating-point outputs must have (f32 for outputs to be judged, f64 for truth). No value is ever converted
 /// from one type to another; byte order and storage layout may be anything.
-Arrays read_arrays(const std::string& path, const Task&, const Problem& problem, DType real = DType::f32,
-                   Origin = Origin::foreign);
+Arrays read_arrays(const std::string& path, const Task&, const Problem& problem, DType real = DType::f32);
 
 }  // namespace gpuphys
