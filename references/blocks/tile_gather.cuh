@@ -28,11 +28,15 @@
 
 namespace gpuphys::tiles {
 
-/// Arrays of samples that are gathered from: of each, extents and the first element.
+/// A source of samples: how many arrays there are, their extents, and a sample of one by its place in the array.
+/// This one has its samples in memory; a task may bring a source of its own, which computes them.
 template <int Arrays>
 struct Samples {
+  static constexpr int arrays = Arrays;
   const float* __restrict__ values[Arrays];
   int extent[Arrays][3];
+
+  __device__ __forceinline__ float at(int array, std::int64_t i) const { return __ldg(values[array] + i); }
 };
 
 /// A tile's samples and their halo along an axis, from `lowest` on.
@@ -123,9 +127,9 @@ struct GatherShared {
   CellOrder<Tiling::cells, Piece> cells;
 };
 
-template <class Tiling, int Arrays, int Threads>
-__device__ __forceinline__ void load_tile(Tile<Tiling, Arrays>& tile, const Samples<Arrays>& samples, const int4& at) {
-  using T = Tile<Tiling, Arrays>;
+template <class Tiling, int Threads, class Source>
+__device__ __forceinline__ void load_tile(Tile<Tiling, Source::arrays>& tile, const Source& source, const int4& at) {
+  using T = Tile<Tiling, Source::arrays>;
   const int first[3] = {at.x * Tiling::side(0) + Tiling::first(0) + Tiling::lowest,
                         at.y * Tiling::side(1) + Tiling::first(1) + Tiling::lowest,
                         at.z * Tiling::side(2) + Tiling::first(2) + Tiling::lowest};
@@ -133,26 +137,26 @@ __device__ __forceinline__ void load_tile(Tile<Tiling, Arrays>& tile, const Samp
     const int i = first[0] + s / T::kPlane, j = first[1] + s / T::kRow % halo_side<Tiling>(1),
               k = first[2] + s % T::kRow;
 #pragma unroll
-    for (int a = 0; a < Arrays; ++a) {
-      const int(&extent)[3] = samples.extent[Tiling::staggered ? a : 0];
+    for (int a = 0; a < Source::arrays; ++a) {
+      const int(&extent)[3] = source.extent[Tiling::staggered ? a : 0];
       const int ci = min(max(i, 0), extent[0] - 1), cj = min(max(j, 0), extent[1] - 1),
                 ck = min(max(k, 0), extent[2] - 1);
-      tile.values[a][s] = __ldg(samples.values[a] + (static_cast<std::int64_t>(ci) * extent[1] + cj) * extent[2] + ck);
+      tile.values[a][s] = source.at(a, (static_cast<std::int64_t>(ci) * extent[1] + cj) * extent[2] + ck);
     }
   }
 }
 
 /// Evaluates pieces of lists. `Transfer::evaluate(tile, placed, result)` fills the Transfer::quads float4 of a result,
 /// which lie Transfer::stride float4 apart in memory (what is between them is written too: whole sectors leave).
-template <class Transfer, class Tiling, int Arrays, int Threads, int Piece, int BlocksPerSm>
+template <class Transfer, class Tiling, class Source, int Threads, int Piece, int BlocksPerSm>
 __global__ void __launch_bounds__(Threads, BlocksPerSm)
-    gather(const Samples<Arrays> __grid_constant__ samples, const WorkItem* __restrict__ items,
+    gather(const __grid_constant__ Source source, const WorkItem* __restrict__ items,
            const int* __restrict__ item_count, const float4* __restrict__ places, float4* __restrict__ results) {
   constexpr int quads = Transfer::quads, stride = Transfer::stride;
   constexpr int rounds = (Piece + Threads - 1) / Threads;
   static_assert(Threads >= Tiling::cells);
   extern __shared__ float4 memory[];
-  auto& shared = *reinterpret_cast<GatherShared<Tiling, Arrays, Piece, quads>*>(memory);
+  auto& shared = *reinterpret_cast<GatherShared<Tiling, Source::arrays, Piece, quads>*>(memory);
   const int thread = static_cast<int>(threadIdx.x);
   const int n_items = *item_count, step = static_cast<int>(gridDim.x);
   for (int i = static_cast<int>(blockIdx.x); i < n_items; i += step) {
@@ -164,7 +168,7 @@ __global__ void __launch_bounds__(Threads, BlocksPerSm)
       const int p = thread + s * Threads;
       if (p < item.count) shared.places[p] = __ldcs(from + p);
     }
-    load_tile<Tiling, Arrays, Threads>(shared.tile, samples, item.tile);
+    load_tile<Tiling, Threads>(shared.tile, source, item.tile);
     __syncthreads();
     sort_by_cell<Threads>(shared.cells, item.count, [&](int p) {
       return __float_as_int(shared.places[p].w) & (Tiling::cells - 1);  // beyond the list: any cell
@@ -212,7 +216,7 @@ __device__ __forceinline__ void read_results(const float4* __restrict__ results,
 ///
 /// Policy: mark_threads, mark_stride, plan_threads, count_threads, count_shared, place_threads, gather_threads, piece,
 /// gather_blocks_per_sm.
-template <class Policy, class Transfer, class Tiling, int Arrays>
+template <class Policy, class Transfer, class Tiling, class Source>
 class TileGather {
  public:
   void allocate(const TileGrid& grid, std::int64_t n) {
@@ -236,7 +240,7 @@ class TileGather {
   }
 
   /// Leaves each particle's result at its slot.
-  void compute(const TileGrid& grid, const float* x, std::int64_t n, const Samples<Arrays>& samples) {
+  void compute(const TileGrid& grid, const float* x, std::int64_t n, const Source& source) {
     const BinningView& bins = bins_.view();
     bins_.clear();
     const auto parts = static_cast<unsigned>(bins.parts);
@@ -246,7 +250,7 @@ class TileGather {
     assign<<<parts, Policy::count_threads, sizeof(int) * static_cast<std::size_t>(bins.indexed)>>>(bins, n);
     place<<<blocks(n, Policy::place_threads), Policy::place_threads>>>(grid, bins, x, n, places_.get());
     evaluate<<<static_cast<unsigned>(gather_blocks_), Policy::gather_threads, kSharedBytes>>>(
-        samples, bins.items, bins.cursors + 1, places_.get(), results_.get());
+        source, bins.items, bins.cursors + 1, places_.get(), results_.get());
   }
 
   const int* slots() const { return bins_.view().slots; }
@@ -262,9 +266,9 @@ class TileGather {
   static constexpr auto plan = plan_tiles<Tiling, Policy::plan_threads, 0>;
   static constexpr auto assign = assign_slots<Policy::count_threads>;
   static constexpr auto place = place_particles<Tiling, Policy::place_threads>;
-  static constexpr auto evaluate = gather<Transfer, Tiling, Arrays, Policy::gather_threads, Policy::piece,
+  static constexpr auto evaluate = gather<Transfer, Tiling, Source, Policy::gather_threads, Policy::piece,
                                           Policy::gather_blocks_per_sm>;
-  static constexpr std::size_t kSharedBytes = sizeof(GatherShared<Tiling, Arrays, Policy::piece, Transfer::quads>);
+  static constexpr std::size_t kSharedBytes = sizeof(GatherShared<Tiling, Source::arrays, Policy::piece, Transfer::quads>);
 
   Binning bins_;
   DeviceBuffer<float4> places_, results_;

@@ -105,7 +105,7 @@ class Reference {
   }
 
  private:
-  using Gather = tiles::TileGather<Policy, VelocityAndGradient, node_gather::Tiling, node_gather::kComponents>;
+  using Gather = tiles::TileGather<Policy, VelocityAndGradient, node_gather::Tiling, node_gather::Source>;
   Gather gather_;
 };
 

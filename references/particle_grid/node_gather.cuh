@@ -12,6 +12,7 @@ constexpr int kComponents = 3;
 /// 1,024 particles a tile where there are eight a cell.
 using Tiling = tiles::Tiling<4, 4, 8, 2, false, true>;
 using Tile = tiles::Tile<Tiling, kComponents>;
+using Source = tiles::Samples<kComponents>;
 
 struct Policy {
   static constexpr int mark_threads = 256;
@@ -62,8 +63,8 @@ __device__ __forceinline__ Local at_particle(const Tile& tile, const tiles::Plac
 
 /// Of inputs with node arrays ux, uy, uz.
 template <class Inputs>
-tiles::Samples<kComponents> samples_of(const Inputs& in) {
-  tiles::Samples<kComponents> s{{in.ux.data, in.uy.data, in.uz.data}, {}};
+Source samples_of(const Inputs& in) {
+  Source s{{in.ux.data, in.uy.data, in.uz.data}, {}};
   for (auto& extent : s.extent) {
     for (int d = 0; d < 3; ++d) extent[d] = static_cast<int>(in.ux.shape[d]);
   }

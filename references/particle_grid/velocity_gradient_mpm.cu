@@ -73,7 +73,7 @@ class Reference {
   }
 
  private:
-  using Gather = tiles::TileGather<Policy, Gradient, node_gather::Tiling, node_gather::kComponents>;
+  using Gather = tiles::TileGather<Policy, Gradient, node_gather::Tiling, node_gather::Source>;
   Gather gather_;
 };
 
