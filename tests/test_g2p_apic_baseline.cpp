@@ -1,5 +1,5 @@
-// The serial baseline of g2p_apic, validated on its own: by hand, by linear fields, at the walls, and against the transfer
-// the other way.
+// The serial baseline of g2p_apic, validated on its own: by hand, by linear fields, at the walls, and against
+// the transfer the other way.
 #include <gtest/gtest.h>
 
 #include "tests/mac_transfer.hpp"
@@ -10,18 +10,22 @@ namespace {
 using testing::run_module;
 using namespace testing::mac;
 
-const Task& task() { return find_task("g2p_apic"); }
+const Task& task() {
+  return find_task("g2p_apic");
+}
 
 using Field = std::function<double(std::size_t c, const Vec3& place_in_cells)>;
 
-Problem gather(const Cells& cells, const std::vector<Particle>& particles, const Field& field, double dx = 1) {
+Problem gather(const Cells& cells, const std::vector<Particle>& particles, const Field& field,
+               double dx = 1) {
   Problem p = make_problem(task().contract, {{"n", static_cast<std::int64_t>(particles.size())},
                                              {"nx", cells[0]},
                                              {"ny", cells[1]},
                                              {"nz", cells[2]}});
   p.set_scalar("dx", dx);
   for (std::size_t q = 0; q < particles.size(); ++q) {
-    for (std::size_t d = 0; d < 3; ++d) p.inputs[0].as<float>()[3 * q + d] = static_cast<float>(particles[q].x[d] * dx);
+    for (std::size_t d = 0; d < 3; ++d)
+      p.inputs[0].as<float>()[3 * q + d] = static_cast<float>(particles[q].x[d] * dx);
   }
   for (std::size_t c = 0; c < 3; ++c) {
     each_face(p.inputs[1 + c], c, [&](std::int64_t i, const Vec3& at) {
@@ -36,8 +40,9 @@ double noise(std::size_t c, const Vec3& g) {
 }
 
 TEST(G2pApicBaseline, OneFaceByHand) {
-  // Only the face of uz at (2.5, 1.5, 3) moves, with 128. A particle one cell below it along y, (2.5, 0.5, 3), gives it the weight
-  // 3/4 x 1/8 x 3/4 = 9/128: v_z = 9, and B_zy = 9 x 1 (face minus particle, dx = 1), B_zx = B_zz = 0.
+  // Only the face of uz at (2.5, 1.5, 3) moves, with 128. A particle one cell below it along y, (2.5, 0.5,
+  // 3), gives it the weight 3/4 x 1/8 x 3/4 = 9/128: v_z = 9, and B_zy = 9 x 1 (face minus particle, dx = 1),
+  // B_zx = B_zz = 0.
   const Problem p = gather({5, 4, 6}, {{{2.5, 0.5, 3}, {}, {}}}, [](std::size_t c, const Vec3& g) {
     return c == 2 && g == Vec3{2.5, 1.5, 3} ? 128.0 : 0.0;
   });
@@ -57,26 +62,30 @@ TEST(G2pApicBaseline, LinearFieldsAreExactForAnySpacing) {
     const Arrays out = run_module(task(), "baseline_f64", p);
     for (std::int64_t i = 0; i < out[0].size(); ++i) {
       const std::int64_t c = i % 3;
-      const Vec3 g{p.inputs[0].value(i - c) / dx, p.inputs[0].value(i - c + 1) / dx, p.inputs[0].value(i - c + 2) / dx};
+      const Vec3 g{p.inputs[0].value(i - c) / dx, p.inputs[0].value(i - c + 1) / dx,
+                   p.inputs[0].value(i - c + 2) / dx};
       EXPECT_NEAR(out[0].value(i), linear(static_cast<std::size_t>(c), g), 1e-12);
       // B = dx^2/4 A, and A is `rate` per cell: rate / dx per metre.
       for (std::int64_t b = 0; b < 3; ++b)
-        EXPECT_NEAR(out[1].value(3 * i + b), dx / 4 * rate[static_cast<std::size_t>(c)][static_cast<std::size_t>(b)],
-                    1e-12);
+        EXPECT_NEAR(out[1].value(3 * i + b),
+                    dx / 4 * rate[static_cast<std::size_t>(c)][static_cast<std::size_t>(b)], 1e-12);
     }
   }
 }
 
 TEST(G2pApicBaseline, AConstantFieldHasNoAffineState) {
-  const Problem p = gather({5, 6, 4}, inside({5, 6, 4}, 20, 97),
-                           [](std::size_t c, const Vec3&) { return c == 0 ? 1000.1 : -0.3; }, 0x1p-8);
+  const Problem p = gather(
+      {5, 6, 4}, inside({5, 6, 4}, 20, 97), [](std::size_t c, const Vec3&) { return c == 0 ? 1000.1 : -0.3; },
+      0x1p-8);
   const Arrays out = run_module(task(), "baseline_f32", p);
   for (std::int64_t e = 0; e < out[1].size(); ++e) EXPECT_EQ(out[1].value(e), 0);
 }
 
 TEST(G2pApicBaseline, OutsideTheFieldIsThatOfTheWall) {
-  const std::vector<Particle> particles{
-      {{-1.5, 1.25, 2.25}, {}, {}}, {{-1e30, 1.25, 2.25}, {}, {}}, {{1e30, 1e30, 1e30}, {}, {}}, {{-0.25, 1.5, 2.5}, {}, {}}};
+  const std::vector<Particle> particles{{{-1.5, 1.25, 2.25}, {}, {}},
+                                        {{-1e30, 1.25, 2.25}, {}, {}},
+                                        {{1e30, 1e30, 1e30}, {}, {}},
+                                        {{-0.25, 1.5, 2.5}, {}, {}}};
   const Problem p = gather({4, 3, 5}, particles, noise);
   const Arrays out = run_module(task(), "baseline_f64", p);
   for (std::int64_t c = 0; c < 3; ++c) {
@@ -84,8 +93,8 @@ TEST(G2pApicBaseline, OutsideTheFieldIsThatOfTheWall) {
     EXPECT_NEAR(out[1].value(3 * c), 0, 1e-15);  // no change along x
   }
   EXPECT_DOUBLE_EQ(out[0].value(6), static_cast<double>(static_cast<float>(noise(0, {4, 2.5, 4.5}))));
-  // At x = -1/4 the faces of ux at -1, 0, 1 have weights 9/32, 22/32, 1/32 and distances -3/4, 1/4, 5/4; those at -1 have the values
-  // of those at 0. Along y and z the particle is on a face: 1/8, 3/4, 1/8.
+  // At x = -1/4 the faces of ux at -1, 0, 1 have weights 9/32, 22/32, 1/32 and distances -3/4, 1/4, 5/4;
+  // those at -1 have the values of those at 0. Along y and z the particle is on a face: 1/8, 3/4, 1/8.
   double v = 0, moment = 0;
   for (int j = -1; j <= 1; ++j) {
     for (int k = -1; k <= 1; ++k) {
@@ -102,8 +111,8 @@ TEST(G2pApicBaseline, OutsideTheFieldIsThatOfTheWall) {
 }
 
 TEST(G2pApicBaseline, IsTheTransposeOfP2gApic) {
-  // sum_faces m u w = sum_particles (v . v(w) + 4/dx^2 B : B(w)) for any face field w: u the velocities that p2g_apic makes of v
-  // and B, v(w) and B(w) what g2p_apic makes of w.
+  // sum_faces m u w = sum_particles (v . v(w) + 4/dx^2 B : B(w)) for any face field w: u the velocities that
+  // p2g_apic makes of v and B, v(w) and B(w) what g2p_apic makes of w.
   const Cells cells{7, 8, 6};
   const double dx = 0.5;
   const auto particles = inside(cells, 60, 98);
@@ -128,8 +137,8 @@ TEST(G2pApicBaseline, IsTheTransposeOfP2gApic) {
 }
 
 TEST(G2pApicBaseline, AnAffineFieldSurvivesTheRoundTrip) {
-  // Particles fill the box two a cell and axis; p2g_apic of an affine field gives that field on all faces well inside, and
-  // g2p_apic gives the particles there their v and B back.
+  // Particles fill the box two a cell and axis; p2g_apic of an affine field gives that field on all faces
+  // well inside, and g2p_apic gives the particles there their v and B back.
   const Cells cells{8, 8, 8};
   const Mat3 rate{{{0.5, -1, 0.25}, {1, 0.125, -0.5}, {0.25, 2, -0.75}}};
   std::vector<Particle> particles;

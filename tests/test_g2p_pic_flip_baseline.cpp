@@ -1,5 +1,5 @@
-// The serial baseline of g2p_pic_flip, validated on its own: by hand, by linear fields, at the walls, and against the
-// transfer the other way.
+// The serial baseline of g2p_pic_flip, validated on its own: by hand, by linear fields, at the walls, and
+// against the transfer the other way.
 #include <gtest/gtest.h>
 
 #include "tests/mac_transfer.hpp"
@@ -10,7 +10,9 @@ namespace {
 using testing::run_module;
 using namespace testing::mac;
 
-const Task& task() { return find_task("g2p_pic_flip"); }
+const Task& task() {
+  return find_task("g2p_pic_flip");
+}
 
 using Field = std::function<double(std::size_t c, const Vec3& place_in_cells)>;
 
@@ -48,15 +50,19 @@ double noise(std::size_t c, const Vec3& g) {
 }
 
 TEST(G2pPicFlipBaseline, OneFaceByHand) {
-  // Only the face of uy at (1.5, 2, 1.5) moves, with 64. At (1.75, 2.5, 1.25) its weight is 3/4 x 1/2 x 3/4 = 9/32, so P = 18.
+  // Only the face of uy at (1.5, 2, 1.5) moves, with 64. At (1.75, 2.5, 1.25) its weight is 3/4 x 1/2 x 3/4 =
+  // 9/32, so P = 18.
   const Field one = [](std::size_t c, const Vec3& g) {
     return c == 1 && g == Vec3{1.5, 2, 1.5} ? 64.0 : 0.0;
   };
   const std::vector<Particle> particle{{{1.75, 2.5, 1.25}, {1, 2, 3}, {}}};
   // PIC alone, FLIP alone from rest of the field, and half of each.
-  EXPECT_DOUBLE_EQ(run_module(task(), "baseline_f64", blend({4, 4, 4}, particle, 0, kZero, one))[0].value(1), 18);
-  EXPECT_DOUBLE_EQ(run_module(task(), "baseline_f64", blend({4, 4, 4}, particle, 1, kZero, one))[0].value(1), 20);
-  EXPECT_DOUBLE_EQ(run_module(task(), "baseline_f64", blend({4, 4, 4}, particle, 1, one, kZero))[0].value(1), -16);
+  EXPECT_DOUBLE_EQ(run_module(task(), "baseline_f64", blend({4, 4, 4}, particle, 0, kZero, one))[0].value(1),
+                   18);
+  EXPECT_DOUBLE_EQ(run_module(task(), "baseline_f64", blend({4, 4, 4}, particle, 1, kZero, one))[0].value(1),
+                   20);
+  EXPECT_DOUBLE_EQ(run_module(task(), "baseline_f64", blend({4, 4, 4}, particle, 1, one, kZero))[0].value(1),
+                   -16);
   const Arrays half = run_module(task(), "baseline_f64", blend({4, 4, 4}, particle, 0.5, one, one));
   EXPECT_DOUBLE_EQ(half[0].value(1), 0.5 * 18 + 0.5 * 2);
   EXPECT_DOUBLE_EQ(half[0].value(0), 0.5);  // no x component in the field
@@ -70,7 +76,8 @@ TEST(G2pPicFlipBaseline, LinearFieldsAreExactForAnySpacing) {
     const Arrays out = run_module(task(), "baseline_f64", p);
     for (std::int64_t i = 0; i < out[0].size(); ++i) {
       const std::int64_t c = i % 3;
-      const Vec3 g{p.inputs[0].value(i - c) / dx, p.inputs[0].value(i - c + 1) / dx, p.inputs[0].value(i - c + 2) / dx};
+      const Vec3 g{p.inputs[0].value(i - c) / dx, p.inputs[0].value(i - c + 1) / dx,
+                   p.inputs[0].value(i - c + 2) / dx};
       EXPECT_NEAR(out[0].value(i), linear(static_cast<std::size_t>(c), g), 1e-12);
     }
   }
@@ -90,9 +97,9 @@ TEST(G2pPicFlipBaseline, BlendsPicAndFlip) {
 
 TEST(G2pPicFlipBaseline, OutsideTheFieldIsThatOfTheWall) {
   const Cells cells{4, 3, 5};
-  const std::vector<Particle> particles{
-      {{0, 1.25, 2.25}, {}, {}}, {{-7, 1.25, 2.25}, {}, {}}, {{-1e30, 1.25, 2.25}, {}, {}},
-      {{4.5, 3.5, 5.5}, {}, {}}, {{1e30, 1e30, 1e30}, {}, {}}, {{0.25, 1.25, 2.25}, {}, {}}};
+  const std::vector<Particle> particles{{{0, 1.25, 2.25}, {}, {}},     {{-7, 1.25, 2.25}, {}, {}},
+                                        {{-1e30, 1.25, 2.25}, {}, {}}, {{4.5, 3.5, 5.5}, {}, {}},
+                                        {{1e30, 1e30, 1e30}, {}, {}},  {{0.25, 1.25, 2.25}, {}, {}}};
   const Arrays out = run_module(task(), "baseline_f64", blend(cells, particles, 0, kZero, noise));
   for (std::int64_t c = 0; c < 3; ++c) {
     EXPECT_EQ(out[0].value(3 + c), out[0].value(c));  // ux sits on the wall, uy and uz half a cell inside
@@ -108,7 +115,8 @@ TEST(G2pPicFlipBaseline, OutsideTheFieldIsThatOfTheWall) {
 }
 
 TEST(G2pPicFlipBaseline, IsTheTransposeOfP2gPicFlip) {
-  // sum_faces m u w = sum_particles v P(w) for any face field w, u the velocities that p2g_pic_flip makes of v.
+  // sum_faces m u w = sum_particles v P(w) for any face field w, u the velocities that p2g_pic_flip makes of
+  // v.
   const Cells cells{7, 8, 6};
   const auto particles = inside(cells, 60, 94);
   const Task& there = find_task("p2g_pic_flip");

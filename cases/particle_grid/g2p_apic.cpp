@@ -13,7 +13,9 @@ using mac_particles::BlockSet;
 using mac_particles::FaceStress;
 using mac_particles::Vec3;
 
-Contract contract() { return describe<Inputs, Outputs<float>>(); }
+Contract contract() {
+  return describe<Inputs, Outputs<float>>();
+}
 
 InputSet block_set(const BlockSet& s) {
   InputSet set;
@@ -22,7 +24,8 @@ InputSet block_set(const BlockSet& s) {
   set.size = s.paper ? Size::paper : Size::smoke;
   set.about = mac_particles::describe(s);
   set.make = [s] {
-    Problem p = make_problem(contract(), {{"n", s.n}, {"nx", s.cells[0]}, {"ny", s.cells[1]}, {"nz", s.cells[2]}});
+    Problem p =
+        make_problem(contract(), {{"n", s.n}, {"nx", s.cells[0]}, {"ny", s.cells[1]}, {"nz", s.cells[2]}});
     p.set_scalar("dx", mac_particles::kDx);
     mac_particles::fill_positions(s, p.inputs[0]);
     for (int c = 0; c < 3; ++c)
@@ -34,7 +37,8 @@ InputSet block_set(const BlockSet& s) {
 
 std::vector<Check> invariants_of(const FaceStress& s) {
   const std::string& stress = s.particles.stress;
-  const std::string why = "tighter than the paper's bound, which is for 33 million particles: 27 terms round to 2e-7";
+  const std::string why =
+      "tighter than the paper's bound, which is for 33 million particles: 27 terms round to 2e-7";
   std::vector<Check> checks{as_invariant(relative_l2_check("v", 0, ""), "v_tight", 5e-7, why),
                             as_invariant(relative_l2_check("B", 0, ""), "B_tight", 5e-7, why)};
   if (s.flat) {
@@ -49,9 +53,12 @@ std::vector<Check> invariants_of(const FaceStress& s) {
          .array = "B",
          .quantity = "B of a constant field over 1000 m/s dx",
          .tolerance = 0x1p-20,
-         .why = "first moments add up to 0; what is left is rounding, for codes that keep the absolute velocity",
+         .why =
+             "first moments add up to 0; what is left is rounding, for codes that keep the absolute velocity",
          .needs_truth = false},
-        [](const Judged& j) { return std::vector<double>(static_cast<std::size_t>(output(j, "B").size()), 0.0); },
+        [](const Judged& j) {
+          return std::vector<double>(static_cast<std::size_t>(output(j, "B").size()), 0.0);
+        },
         mac_particles::kConstantFaces[0] * mac_particles::kDx));
   }
   if (stress == "linear") {
@@ -73,22 +80,22 @@ std::vector<Check> invariants_of(const FaceStress& s) {
                                     }
                                     return known;
                                   }));
-    checks.push_back(equals_known({.name = "B_linear",
-                                   .kind = CheckKind::invariant,
-                                   .array = "B",
-                                   .quantity = "dx^2/4 times the gradient of a linear field, dx = 1",
-                                   .tolerance = 0x1p-22,
-                                   .why = exact,
-                                   .needs_truth = false},
-                                  [](const Judged& j) {
-                                    std::vector<double> known;
-                                    for (std::int64_t e = 0; e < output(j, "B").size(); ++e)
-                                      known.push_back(
-                                          mac_particles::kSlope[static_cast<std::size_t>(e % 9 / 3)]
-                                                               [static_cast<std::size_t>(e % 3)] /
-                                          4);
-                                    return known;
-                                  }));
+    checks.push_back(equals_known(
+        {.name = "B_linear",
+         .kind = CheckKind::invariant,
+         .array = "B",
+         .quantity = "dx^2/4 times the gradient of a linear field, dx = 1",
+         .tolerance = 0x1p-22,
+         .why = exact,
+         .needs_truth = false},
+        [](const Judged& j) {
+          std::vector<double> known;
+          for (std::int64_t e = 0; e < output(j, "B").size(); ++e)
+            known.push_back(
+                mac_particles::kSlope[static_cast<std::size_t>(e % 9 / 3)][static_cast<std::size_t>(e % 3)] /
+                4);
+          return known;
+        }));
   }
   return checks;
 }
@@ -109,8 +116,8 @@ Task make_task() {
         s.particles.stress, s.particles.about,
         [s] {
           const mac_particles::Placement& at = s.particles;
-          Problem p = make_problem(contract(),
-                                   {{"n", at.n}, {"nx", at.cells[0]}, {"ny", at.cells[1]}, {"nz", at.cells[2]}});
+          Problem p = make_problem(
+              contract(), {{"n", at.n}, {"nx", at.cells[0]}, {"ny", at.cells[1]}, {"nz", at.cells[2]}});
           p.set_scalar("dx", at.dx);
           const auto x = p.inputs[0].as<float>();
           for (std::size_t q = 0; q < static_cast<std::size_t>(at.n); ++q) {

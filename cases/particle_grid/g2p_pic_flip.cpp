@@ -18,10 +18,14 @@ using mac_particles::Vec3;
 constexpr double kFlip = 0.95;
 constexpr double kChange = 0.2;  // of the second field, in the paper's sets
 
-Contract contract() { return describe<Inputs, Outputs<float>>(); }
+Contract contract() {
+  return describe<Inputs, Outputs<float>>();
+}
 
 // The inputs after x and v: the old field, then the new one.
-constexpr std::size_t field_at(int field, int c) { return static_cast<std::size_t>(2 + 3 * field + c); }
+constexpr std::size_t field_at(int field, int c) {
+  return static_cast<std::size_t>(2 + 3 * field + c);
+}
 
 InputSet block_set(const BlockSet& s) {
   InputSet set;
@@ -30,7 +34,8 @@ InputSet block_set(const BlockSet& s) {
   set.size = s.paper ? Size::paper : Size::smoke;
   set.about = mac_particles::describe(s);
   set.make = [s] {
-    Problem p = make_problem(contract(), {{"n", s.n}, {"nx", s.cells[0]}, {"ny", s.cells[1]}, {"nz", s.cells[2]}});
+    Problem p =
+        make_problem(contract(), {{"n", s.n}, {"nx", s.cells[0]}, {"ny", s.cells[1]}, {"nz", s.cells[2]}});
     p.set_scalar("dx", mac_particles::kDx);
     p.set_scalar("flip", kFlip);
     mac_particles::fill_positions(s, p.inputs[0]);
@@ -78,7 +83,8 @@ std::vector<Check> invariants_of(const std::string& stress) {
     checks.push_back(equals_v("flip = 1 and no change of the field: v + 0, bit by bit"));
     return checks;
   }
-  const std::string why = "tighter than the paper's bound, which is for 33 million particles: eight terms round to 1e-7";
+  const std::string why =
+      "tighter than the paper's bound, which is for 33 million particles: eight terms round to 1e-7";
   checks.push_back(as_invariant(relative_l2_check("v_new", 0, ""), "v_new_tight", 3e-7, why));
   if (stress == "constant") {
     checks.push_back(equals_known({.name = "v_constant",
@@ -97,26 +103,26 @@ std::vector<Check> invariants_of(const std::string& stress) {
                                   }));
   }
   if (stress == "linear") {
-    checks.push_back(equals_known(
-        {.name = "v_linear",
-         .kind = CheckKind::invariant,
-         .array = "v_new",
-         .quantity = "1/2 new + 1/2 (v + new - old) of two linear fields",
-         .tolerance = 0x1p-22,
-         .why = "dyadic numbers: every product and sum is exact in float32",
-         .needs_truth = false},
-        [](const Judged& j) {
-          const HostArray &x = input(j, "x"), &v = input(j, "v");
-          std::vector<double> known;
-          for (std::int64_t i = 0; i < v.size(); ++i) {
-            const int c = static_cast<int>(i % 3);
-            const Vec3 g{x.value(i - c), x.value(i - c + 1), x.value(i - c + 2)};
-            const double before = mac_particles::linear_at(c, g),
-                         after = mac_particles::linear_at(c, {2 * g[2], g[0], -g[1]});
-            known.push_back(0.5 * after + 0.5 * (v.value(i) + (after - before)));
-          }
-          return known;
-        }));
+    checks.push_back(equals_known({.name = "v_linear",
+                                   .kind = CheckKind::invariant,
+                                   .array = "v_new",
+                                   .quantity = "1/2 new + 1/2 (v + new - old) of two linear fields",
+                                   .tolerance = 0x1p-22,
+                                   .why = "dyadic numbers: every product and sum is exact in float32",
+                                   .needs_truth = false},
+                                  [](const Judged& j) {
+                                    const HostArray &x = input(j, "x"), &v = input(j, "v");
+                                    std::vector<double> known;
+                                    for (std::int64_t i = 0; i < v.size(); ++i) {
+                                      const int c = static_cast<int>(i % 3);
+                                      const Vec3 g{x.value(i - c), x.value(i - c + 1), x.value(i - c + 2)};
+                                      const double before = mac_particles::linear_at(c, g),
+                                                   after =
+                                                       mac_particles::linear_at(c, {2 * g[2], g[0], -g[1]});
+                                      known.push_back(0.5 * after + 0.5 * (v.value(i) + (after - before)));
+                                    }
+                                    return known;
+                                  }));
   }
   return checks;
 }
@@ -131,10 +137,13 @@ std::vector<FaceStress> stresses() {
   const auto field = same.u;
   same.particles.stress = "no_change";
   same.particles.about = "the field does not change, and flip = 1: v_new is v";
-  same.u = [field](int, int c, std::int64_t i, std::int64_t j, std::int64_t k) { return field(0, c, i, j, k); };
+  same.u = [field](int, int c, std::int64_t i, std::int64_t j, std::int64_t k) {
+    return field(0, c, i, j, k);
+  };
   list.push_back(same);
   same.particles.stress = "small_change";
-  same.particles.about = "the field changes by 1e-9 of itself and less, v is small: changes must not drown in the field";
+  same.particles.about =
+      "the field changes by 1e-9 of itself and less, v is small: changes must not drown in the field";
   same.particles.v = [](std::uint64_t q) {
     Vec3 v = mac_particles::random_vector(90, 4, q);
     for (double& c : v) c *= 1e-9;
@@ -168,7 +177,8 @@ Task make_task() {
           Problem p = mac_particles::placed_problem(contract(), s.particles);
           p.set_scalar("flip", flip);
           for (int field = 0; field < 2; ++field) {
-            for (int c = 0; c < 3; ++c) mac_particles::fill_samples(s, field, c, p.inputs[field_at(field, c)]);
+            for (int c = 0; c < 3; ++c)
+              mac_particles::fill_samples(s, field, c, p.inputs[field_at(field, c)]);
           }
           return p;
         },

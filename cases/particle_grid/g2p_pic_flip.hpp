@@ -11,7 +11,7 @@ struct Inputs {
   View<const float, 3> ux_old, uy_old, uz_old;  ///< velocity on the faces before the step, m/s
   View<const float, 3> ux_new, uy_new, uz_new;  ///< the same after it
   float dx = 0;                                 ///< size of a cell, m
-  float flip = 0;                               ///< share of the change (FLIP); the rest is the new velocity (PIC)
+  float flip = 0;  ///< share of the change (FLIP); the rest is the new velocity (PIC)
 
   template <class V>
   void visit(V&& visitor) {

@@ -26,7 +26,8 @@ std::function<Vec3(std::uint64_t)> random_velocity(std::uint64_t seed) {
   return [=](std::uint64_t q) { return random_vector(seed, 4, q); };
 }
 
-std::function<Vec3(std::uint64_t)> in_box(std::uint64_t seed, const Vec3& low, const Vec3& high, double step) {
+std::function<Vec3(std::uint64_t)> in_box(std::uint64_t seed, const Vec3& low, const Vec3& high,
+                                          double step) {
   return [=](std::uint64_t q) { return off_planes(seed, q, low, high, step); };
 }
 
@@ -78,24 +79,25 @@ std::vector<FaceStress> all_stresses() {
                     for (std::size_t d = 0; d < 3; ++d) g[d] += static_cast<int>(d) == c ? 0.0 : 0.5;
                     return field == 0 ? linear_at(c, g) : linear_at(c, {2 * g[2], g[0], -g[1]});
                   }});
-  list.push_back({.particles = {.stress = "single_faces",
-                                .about = "one face in 64 is not zero, the last ones along each axis among them; -0 "
-                                         "in places",
-                                .cells = {15, 19, 11},
-                                .n = 6007,
-                                .at =
-                                    [](std::uint64_t q) {
-                                      Vec3 x = off_planes(83, q, {-1, -1, -1}, {16, 20, 12}, 0x1p-10);
-                                      if (q % 2 == 0) return x;
-                                      for (double& c : x)  // within two cells of one that is not zero
-                                        c = 4 * std::floor(c / 4) + 1.25 + 4 * (c / 4 - std::floor(c / 4));
-                                      return x;
-                                    },
-                                .v = random_velocity(83)},
-                  .u = [](int field, int c, std::int64_t i, std::int64_t j, std::int64_t k) {
-                    if (i % 4 == 3 && j % 4 == 3 && k % 4 == 3) return noise(83)(field, c, i, j, k);
-                    return i % 2 == 0 ? 0.0 : -0.0;
-                  }});
+  list.push_back(
+      {.particles = {.stress = "single_faces",
+                     .about = "one face in 64 is not zero, the last ones along each axis among them; -0 "
+                              "in places",
+                     .cells = {15, 19, 11},
+                     .n = 6007,
+                     .at =
+                         [](std::uint64_t q) {
+                           Vec3 x = off_planes(83, q, {-1, -1, -1}, {16, 20, 12}, 0x1p-10);
+                           if (q % 2 == 0) return x;
+                           for (double& c : x)  // within two cells of one that is not zero
+                             c = 4 * std::floor(c / 4) + 1.25 + 4 * (c / 4 - std::floor(c / 4));
+                           return x;
+                         },
+                     .v = random_velocity(83)},
+       .u = [](int field, int c, std::int64_t i, std::int64_t j, std::int64_t k) {
+         if (i % 4 == 3 && j % 4 == 3 && k % 4 == 3) return noise(83)(field, c, i, j, k);
+         return i % 2 == 0 ? 0.0 : -0.0;
+       }});
   return list;
 }
 

@@ -1,5 +1,5 @@
-// The hard cases that g2p_pic_flip and g2p_apic share: the particles of mac_transfer_sets.hpp and some more, with values
-// on the faces.
+// The hard cases that g2p_pic_flip and g2p_apic share: the particles of mac_transfer_sets.hpp and some more,
+// with values on the faces.
 #pragma once
 
 #include <cstdint>

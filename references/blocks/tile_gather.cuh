@@ -1,18 +1,21 @@
-// Building block: values of a grid to particles in random order. A task's own file says what a particle takes from the
-// samples around it, and what becomes of that.
+// Building block: values of a grid to particles in random order. A task's own file says what a particle takes
+// from the samples around it, and what becomes of that.
 //
 //   bin      particles to tiles of cells (particle_tiles.cuh): a slot in its tile's list for each particle
 //   place    a thread a particle: {place in its cell 3, number of the cell} to its slot, 16 bytes
-//   gather   a block for a piece of a tile's list: brings the tile's samples and their halo to shared memory, sorts the
-//            piece by cell, so that the lanes of a warp ask for the same few samples, and a thread for each particle
-//            evaluates. Results leave in the order of the slots, in whole lines
-//   finish   the task's own: a thread a particle, in the order of the input again, fetches its result from its slot
+//   gather   a block for a piece of a tile's list: brings the tile's samples and their halo to shared memory,
+//   sorts the
+//            piece by cell, so that the lanes of a warp ask for the same few samples, and a thread for each
+//            particle evaluates. Results leave in the order of the slots, in whole lines
+//   finish   the task's own: a thread a particle, in the order of the input again, fetches its result from
+//   its slot
 //
-//   particles  0 1 2 3 4 ...  --place-->  | tile a: 4 0 7 | tile b: 3 9 | ...  --gather-->  results  --finish-->  0 1 2 3
+//   particles  0 1 2 3 4 ...  --place-->  | tile a: 4 0 7 | tile b: 3 9 | ...  --gather-->  results
+//   --finish-->  0 1 2 3
 //
-// Why not straight from the grid: 27 nodes of 16 bytes in 9 rows are 18 sectors of 32 bytes, 576 bytes a particle from L2
-// (where a grid of 256^3 nodes does not fit: from DRAM). Here a particle costs 16 bytes out and in for its place, some 12
-// for its tile, and its result twice.
+// Why not straight from the grid: 27 nodes of 16 bytes in 9 rows are 18 sectors of 32 bytes, 576 bytes a
+// particle from L2 (where a grid of 256^3 nodes does not fit: from DRAM). Here a particle costs 16 bytes out
+// and in for its place, some 12 for its tile, and its result twice.
 #pragma once
 
 #include <cuda_runtime.h>
@@ -28,8 +31,8 @@
 
 namespace gpuphys::tiles {
 
-/// A source of samples: how many arrays there are, their extents, and a sample of one by its place in the array.
-/// This one has its samples in memory; a task may bring a source of its own, which computes them.
+/// A source of samples: how many arrays there are, their extents, and a sample of one by its place in the
+/// array. This one has its samples in memory; a task may bring a source of its own, which computes them.
 template <int Arrays>
 struct Samples {
   static constexpr int arrays = Arrays;
@@ -59,8 +62,8 @@ struct Tile {
   }
 };
 
-/// Weights of three samples in a row along an axis, and what else they are weighted with: slopes or moments, whose sum
-/// is 0.
+/// Weights of three samples in a row along an axis, and what else they are weighted with: slopes or moments,
+/// whose sum is 0.
 struct Along3 {
   float w[3], d[3];
 };
@@ -70,8 +73,8 @@ struct Sum27 {
   float first[3];  ///< the same with d in place of w along x, y, z
 };
 
-/// Sums over 27 samples, the lowest one at `samples`. The middle sample is taken off all of them first: nothing that
-/// they have in common is rounded.
+/// Sums over 27 samples, the lowest one at `samples`. The middle sample is taken off all of them first:
+/// nothing that they have in common is rounded.
 template <class Tile>
 __device__ __forceinline__ Sum27 sum_27(const float* __restrict__ samples, const Along3& x, const Along3& y,
                                         const Along3& z) {
@@ -104,8 +107,8 @@ struct Placed {
   int cell;
 };
 
-/// Writes the places of the particles to their slots, and slots that had to be asked for to bins.slots. A thread a
-/// particle.
+/// Writes the places of the particles to their slots, and slots that had to be asked for to bins.slots. A
+/// thread a particle.
 template <class Tiling, int Threads>
 __global__ void __launch_bounds__(Threads)
     place_particles(const __grid_constant__ TileGrid grid, const __grid_constant__ BinningView bins,
@@ -128,7 +131,8 @@ struct GatherShared {
 };
 
 template <class Tiling, int Threads, class Source>
-__device__ __forceinline__ void load_tile(Tile<Tiling, Source::arrays>& tile, const Source& source, const int4& at) {
+__device__ __forceinline__ void load_tile(Tile<Tiling, Source::arrays>& tile, const Source& source,
+                                          const int4& at) {
   using T = Tile<Tiling, Source::arrays>;
   const int first[3] = {at.x * Tiling::side(0) + Tiling::first(0) + Tiling::lowest,
                         at.y * Tiling::side(1) + Tiling::first(1) + Tiling::lowest,
@@ -146,12 +150,14 @@ __device__ __forceinline__ void load_tile(Tile<Tiling, Source::arrays>& tile, co
   }
 }
 
-/// Evaluates pieces of lists. `Transfer::evaluate(tile, placed, result)` fills the Transfer::quads float4 of a result,
-/// which lie Transfer::stride float4 apart in memory (what is between them is written too: whole sectors leave).
+/// Evaluates pieces of lists. `Transfer::evaluate(tile, placed, result)` fills the Transfer::quads float4 of
+/// a result, which lie Transfer::stride float4 apart in memory (what is between them is written too: whole
+/// sectors leave).
 template <class Transfer, class Tiling, class Source, int Threads, int Piece, int BlocksPerSm>
 __global__ void __launch_bounds__(Threads, BlocksPerSm)
     gather(const __grid_constant__ Source source, const WorkItem* __restrict__ items,
-           const int* __restrict__ item_count, const float4* __restrict__ places, float4* __restrict__ results) {
+           const int* __restrict__ item_count, const float4* __restrict__ places,
+           float4* __restrict__ results) {
   constexpr int quads = Transfer::quads, stride = Transfer::stride;
   constexpr int rounds = (Piece + Threads - 1) / Threads;
   static_assert(Threads >= Tiling::cells);
@@ -195,11 +201,12 @@ __global__ void __launch_bounds__(Threads, BlocksPerSm)
   }
 }
 
-/// Brings the results of a warp's particles from their slots to `packed`, Quads float4 each of Stride in memory: the
-/// lane's own at packed[Quads * lane], from the next __syncwarp() on. Stride lanes read a whole result at once. A slot
-/// below 0 brings none.
+/// Brings the results of a warp's particles from their slots to `packed`, Quads float4 each of Stride in
+/// memory: the lane's own at packed[Quads * lane], from the next __syncwarp() on. Stride lanes read a whole
+/// result at once. A slot below 0 brings none.
 template <int Quads, int Stride>
-__device__ __forceinline__ void read_results(const float4* __restrict__ results, int slot, float4* __restrict__ packed) {
+__device__ __forceinline__ void read_results(const float4* __restrict__ results, int slot,
+                                             float4* __restrict__ packed) {
   static_assert(32 % Stride == 0 && Quads <= Stride);
   constexpr int per_load = 32 / Stride;
   const int lane = static_cast<int>(threadIdx.x) % 32, part = lane % Stride;
@@ -214,8 +221,8 @@ __device__ __forceinline__ void read_results(const float4* __restrict__ results,
 
 /// The passes up to the task's own last one, and their memory.
 ///
-/// Policy: mark_threads, mark_stride, plan_threads, count_threads, count_shared, place_threads, gather_threads, piece,
-/// gather_blocks_per_sm.
+/// Policy: mark_threads, mark_stride, plan_threads, count_threads, count_shared, place_threads,
+/// gather_threads, piece, gather_blocks_per_sm.
 template <class Policy, class Transfer, class Tiling, class Source>
 class TileGather {
  public:
@@ -246,7 +253,8 @@ class TileGather {
     const auto parts = static_cast<unsigned>(bins.parts);
     mark<<<blocks(n, Policy::mark_threads * Policy::mark_stride), Policy::mark_threads>>>(grid, bins, x, n);
     count<<<parts, Policy::count_threads, count_shared_bytes(bins)>>>(grid, bins, x, n);
-    plan<<<blocks(grid.tile_count(), Policy::plan_threads), Policy::plan_threads>>>(grid, bins, Policy::piece, nullptr);
+    plan<<<blocks(grid.tile_count(), Policy::plan_threads), Policy::plan_threads>>>(grid, bins, Policy::piece,
+                                                                                    nullptr);
     assign<<<parts, Policy::count_threads, sizeof(int) * static_cast<std::size_t>(bins.indexed)>>>(bins, n);
     place<<<blocks(n, Policy::place_threads), Policy::place_threads>>>(grid, bins, x, n, places_.get());
     evaluate<<<static_cast<unsigned>(gather_blocks_), Policy::gather_threads, kSharedBytes>>>(
@@ -266,9 +274,10 @@ class TileGather {
   static constexpr auto plan = plan_tiles<Tiling, Policy::plan_threads, 0>;
   static constexpr auto assign = assign_slots<Policy::count_threads>;
   static constexpr auto place = place_particles<Tiling, Policy::place_threads>;
-  static constexpr auto evaluate = gather<Transfer, Tiling, Source, Policy::gather_threads, Policy::piece,
-                                          Policy::gather_blocks_per_sm>;
-  static constexpr std::size_t kSharedBytes = sizeof(GatherShared<Tiling, Source::arrays, Policy::piece, Transfer::quads>);
+  static constexpr auto evaluate =
+      gather<Transfer, Tiling, Source, Policy::gather_threads, Policy::piece, Policy::gather_blocks_per_sm>;
+  static constexpr std::size_t kSharedBytes =
+      sizeof(GatherShared<Tiling, Source::arrays, Policy::piece, Transfer::quads>);
 
   Binning bins_;
   DeviceBuffer<float4> places_, results_;

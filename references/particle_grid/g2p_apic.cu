@@ -1,19 +1,24 @@
-// g2p_apic: velocities of the faces of a MAC grid to particles, with their affine state, quadratic B-splines, FP32.
+// g2p_apic: velocities of the faces of a MAC grid to particles, with their affine state, quadratic B-splines,
+// FP32.
 //
-// For every particle: v_c = sum w u_c and B_cb = sum w u_c (x_face - x_p)_b, indices clamped to the array, positions not.
+// For every particle: v_c = sum w u_c and B_cb = sum w u_c (x_face - x_p)_b, indices clamped to the array,
+// positions not.
 //
 // Passes over data in random order (references/blocks/tile_gather.cuh):
-//   mark, count, plan, assign, place   a slot for each particle in its tile's list, its place in its cell there
-//   gather   a block for a piece of a list, the tile's faces in shared memory: v and first moments per cell, 12 numbers, to
+//   mark, count, plan, assign, place   a slot for each particle in its tile's list, its place in its cell
+//   there gather   a block for a piece of a list, the tile's faces in shared memory: v and first moments per
+//   cell, 12 numbers, to
 //            the slot
-//   finish   a thread a particle in the order of the input: fetches the 12 numbers and writes them in whole lines
+//   finish   a thread a particle in the order of the input: fetches the 12 numbers and writes them in whole
+//   lines
 //
-// What bounds it (33.0M particles): DRAM. count and assign 0.8 GB, place 1.06 GB, gather 2.7 GB, finish 3.8 GB, more than half
-// of that read at random places, 64 bytes each. In gather instructions (some 480 a particle) come next.
+// What bounds it (33.0M particles): DRAM. count and assign 0.8 GB, place 1.06 GB, gather 2.7 GB, finish 3.8
+// GB, more than half of that read at random places, 64 bytes each. In gather instructions (some 480 a
+// particle) come next.
 //
-// What pays: rows of 36 and 12 bytes are never written at random places, where DRAM would read what is around them. A result is
-// padded to two whole sectors, read by four lanes at once. Differences from the middle face, formed first: B keeps its
-// digits in a smooth field.
+// What pays: rows of 36 and 12 bytes are never written at random places, where DRAM would read what is around
+// them. A result is padded to two whole sectors, read by four lanes at once. Differences from the middle
+// face, formed first: B keeps its digits in a smooth field.
 #include "cases/particle_grid/g2p_apic.hpp"
 #include "references/common/alignment.hpp"
 #include "references/common/warp_rows.cuh"
@@ -56,16 +61,16 @@ struct VelocityAndMoments {
   static constexpr int quads = 3, stride = 4;
 
   template <int C>
-  static __device__ __forceinline__ void component(const mac_gather::Tile<kOrder>& tile, const tiles::Placed& placed,
-                                                   float (&result)[4 * quads]) {
+  static __device__ __forceinline__ void component(const mac_gather::Tile<kOrder>& tile,
+                                                   const tiles::Placed& placed, float (&result)[4 * quads]) {
     const tiles::Sum27 sum = mac_gather::quadratic<C>(tile, placed);
     result[C] = sum.value;
 #pragma unroll
     for (int d = 0; d < 3; ++d) result[3 + 3 * C + d] = sum.first[d];
   }
 
-  static __device__ __forceinline__ void evaluate(const mac_gather::Tile<kOrder>& tile, const tiles::Placed& placed,
-                                                  float (&result)[4 * quads]) {
+  static __device__ __forceinline__ void evaluate(const mac_gather::Tile<kOrder>& tile,
+                                                  const tiles::Placed& placed, float (&result)[4 * quads]) {
     component<0>(tile, placed, result);
     component<1>(tile, placed, result);
     component<2>(tile, placed, result);
@@ -74,8 +79,8 @@ struct VelocityAndMoments {
 constexpr int kQuads = VelocityAndMoments::quads, kStride = VelocityAndMoments::stride;
 
 __global__ void __launch_bounds__(Policy::finish_threads)
-    finish(float* __restrict__ v, float* __restrict__ affine, std::int64_t n, float dx, const int* __restrict__ slots,
-           const float4* __restrict__ results) {
+    finish(float* __restrict__ v, float* __restrict__ affine, std::int64_t n, float dx,
+           const int* __restrict__ slots, const float4* __restrict__ results) {
   __shared__ __align__(16) float staging[Policy::finish_threads / 32][32 * 4 * kQuads];
   float* stage = staging[threadIdx.x / 32];
   const int lane = static_cast<int>(threadIdx.x) % 32;
@@ -110,7 +115,9 @@ class Reference {
  private:
   using Gather = tiles::TileGather<Policy, VelocityAndMoments, Tiling, Source>;
 
-  static tiles::TileGrid grid_of(const Inputs& in) { return mac_gather::grid_of<kOrder>(in.ux, in.uy, in.uz, in.dx); }
+  static tiles::TileGrid grid_of(const Inputs& in) {
+    return mac_gather::grid_of<kOrder>(in.ux, in.uy, in.uz, in.dx);
+  }
 
   Gather gather_;
 };

@@ -1,19 +1,20 @@
 // g2p_pic_flip: velocities of the faces of a MAC grid to particles, hat kernel, FP32.
 //
-// For every particle and component: v' = (1 - flip) P(new) + flip (v + P(new) - P(old)), P(u) the trilinear interpolation of
-// a field at the particle, indices clamped to the array.
+// For every particle and component: v' = (1 - flip) P(new) + flip (v + P(new) - P(old)), P(u) the trilinear
+// interpolation of a field at the particle, indices clamped to the array.
 //
 // Passes over data in random order (references/blocks/tile_gather.cuh):
-//   mark, count, plan, assign, place   a slot for each particle in its tile's list, its place in its cell there
-//   gather   a block for a piece of a list. The tile in shared memory holds (1 - flip) new + flip (new - old) for each face:
+//   mark, count, plan, assign, place   a slot for each particle in its tile's list, its place in its cell
+//   there gather   a block for a piece of a list. The tile in shared memory holds (1 - flip) new + flip (new
+//   - old) for each face:
 //            one interpolation instead of two. 3 numbers, 16 bytes, to the slot
 //   finish   a thread a particle in the order of the input: fetches them and adds flip v
 //
-// What bounds it (33.0M particles): DRAM. count and assign 0.8 GB, place 1.06 GB, gather 1.3 GB, finish 2.0 GB, half of that
-// 32-byte sectors at random places.
+// What bounds it (33.0M particles): DRAM. count and assign 0.8 GB, place 1.06 GB, gather 1.3 GB, finish 2.0
+// GB, half of that 32-byte sectors at random places.
 //
-// What pays: the two fields are read once for a tile and blended there, on differences of the faces, so that a change smaller
-// than a step of the field is kept. v takes no part in the sort.
+// What pays: the two fields are read once for a tile and blended there, on differences of the faces, so that
+// a change smaller than a step of the field is kept. v takes no part in the sort.
 #include "cases/particle_grid/g2p_pic_flip.hpp"
 #include "references/common/alignment.hpp"
 #include "references/common/warp_rows.cuh"
@@ -68,8 +69,8 @@ struct BlendedFaces {
 struct Interpolated {
   static constexpr int quads = 1, stride = 1;
 
-  static __device__ __forceinline__ void evaluate(const mac_gather::Tile<kOrder>& tile, const tiles::Placed& placed,
-                                                  float (&result)[4 * quads]) {
+  static __device__ __forceinline__ void evaluate(const mac_gather::Tile<kOrder>& tile,
+                                                  const tiles::Placed& placed, float (&result)[4 * quads]) {
     result[0] = mac_gather::trilinear<0>(tile, placed);
     result[1] = mac_gather::trilinear<1>(tile, placed);
     result[2] = mac_gather::trilinear<2>(tile, placed);

@@ -1,5 +1,5 @@
-// From the nodes of a collocated grid to particles by quadratic B-splines: what g2p_mpm and velocity_gradient_mpm share.
-// FP32. (references/blocks/tile_gather.cuh has the passes.)
+// From the nodes of a collocated grid to particles by quadratic B-splines: what g2p_mpm and
+// velocity_gradient_mpm share. FP32. (references/blocks/tile_gather.cuh has the passes.)
 #pragma once
 
 #include "references/blocks/tile_gather.cuh"

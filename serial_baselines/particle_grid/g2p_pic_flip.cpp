@@ -1,5 +1,5 @@
-// Serial baseline of g2p_pic_flip, written from cases/particle_grid/g2p_pic_flip.md alone: one particle after the other.
-// Built as FP64 truth and as FP32 variants (Real).
+// Serial baseline of g2p_pic_flip, written from cases/particle_grid/g2p_pic_flip.md alone: one particle after
+// the other. Built as FP64 truth and as FP32 variants (Real).
 #include "cases/particle_grid/g2p_pic_flip.hpp"
 
 #include <array>
@@ -36,8 +36,8 @@ class Baseline {
                         const View<const float, 3>& after) {
     const auto offset = [c](std::size_t d) { return d == c ? Real(0) : Real(0.5); };
     using Samples = serial::ClampedSamples<Real, 2>;
-    const Samples x(in.x(p, 0), in.dx, offset(0), after.shape[0]), y(in.x(p, 1), in.dx, offset(1), after.shape[1]),
-        z(in.x(p, 2), in.dx, offset(2), after.shape[2]);
+    const Samples x(in.x(p, 0), in.dx, offset(0), after.shape[0]),
+        y(in.x(p, 1), in.dx, offset(1), after.shape[1]), z(in.x(p, 2), in.dx, offset(2), after.shape[2]);
     Sampled sum;
     for (std::size_t i = 0; i < 2; ++i) {
       for (std::size_t j = 0; j < 2; ++j) {

@@ -1,5 +1,5 @@
-// Samples of a MAC grid around a particle, indices clamped to the array, for the serial baselines of grid-to-particle
-// transfers, from cases/particle_grid/mac_particles.md alone.
+// Samples of a MAC grid around a particle, indices clamped to the array, for the serial baselines of
+// grid-to-particle transfers, from cases/particle_grid/mac_particles.md alone.
 #pragma once
 
 #include <array>
