@@ -86,8 +86,10 @@ __device__ __forceinline__ Sum27 sum_27(const float* __restrict__ samples, const
 #pragma unroll
     for (int j = 0; j < 3; ++j) {
       const float* row = samples + i * Tile::kPlane + j * Tile::kRow;
-      const float a = row[0] - middle, b = row[1] - middle, c = row[2] - middle;
-      const float plain = z.w[0] * a + z.w[1] * b + z.w[2] * c, other = z.d[0] * a + z.d[1] * b + z.d[2] * c;
+      // Of three weights that add up to 1, and of three others that add up to 0, the middle ones are not
+      // needed.
+      const float a = row[0] - row[1], c = row[2] - row[1];
+      const float plain = (row[1] - middle) + (z.w[0] * a + z.w[2] * c), other = z.d[0] * a + z.d[2] * c;
       value += y.w[j] * plain;
       along_y += y.d[j] * plain;
       along_z += y.w[j] * other;
@@ -202,17 +204,16 @@ __global__ void __launch_bounds__(Threads, BlocksPerSm)
 }
 
 /// Brings the results of a warp's particles from their slots to `packed`, Quads float4 each of Stride in
-/// memory: the lane's own at packed[Quads * lane], from the next __syncwarp() on. Stride lanes read a whole
-/// result at once. A slot below 0 brings none.
+/// memory: the lane's own at packed[Quads * lane], from the next __syncwarp() on. Neighbouring lanes read a
+/// whole result at once. A slot below 0 brings none.
 template <int Quads, int Stride>
 __device__ __forceinline__ void read_results(const float4* __restrict__ results, int slot,
                                              float4* __restrict__ packed) {
-  static_assert(32 % Stride == 0 && Quads <= Stride);
-  constexpr int per_load = 32 / Stride;
-  const int lane = static_cast<int>(threadIdx.x) % 32, part = lane % Stride;
+  static_assert(Quads <= Stride);
+  const int lane = static_cast<int>(threadIdx.x) % 32;
 #pragma unroll
   for (int s = 0; s < Stride; ++s) {
-    const int item = s * per_load + lane / Stride;
+    const int item = (32 * s + lane) / Stride, part = (32 * s + lane) % Stride;
     const int from = __shfl_sync(0xffffffffu, slot, item);
     if (from >= 0 && part < Quads)
       packed[Quads * item + part] = __ldcs(results + static_cast<std::int64_t>(Stride) * from + part);

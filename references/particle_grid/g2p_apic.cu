@@ -42,6 +42,7 @@ struct Policy {
   static constexpr int place_threads = 128;
   static constexpr int gather_threads = 128;
   static constexpr int piece = 320;
+  static constexpr int result_stride = 3;
   static constexpr int gather_blocks_per_sm = 6;
   static constexpr int finish_threads = 256;
 #else
@@ -52,13 +53,14 @@ struct Policy {
   static constexpr int gather_threads = 256;
   static constexpr int piece = 512;  // half a full tile: 41 KB of shared memory a block
   static constexpr int gather_blocks_per_sm = 4;
+  static constexpr int result_stride = 4;  // float4: three, padded to two whole sectors
   static constexpr int finish_threads = 128;
 #endif
 };
 
 /// {v 3, first moments in cells 9}
 struct VelocityAndMoments {
-  static constexpr int quads = 3, stride = 4;
+  static constexpr int quads = 3, stride = Policy::result_stride;
 
   template <int C>
   static __device__ __forceinline__ void component(const mac_gather::Tile<kOrder>& tile,

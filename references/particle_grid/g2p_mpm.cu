@@ -35,7 +35,7 @@ struct Policy : node_gather::Policy {
 
 /// {v 3, dv per cell 9}
 struct VelocityAndGradient {
-  static constexpr int quads = 3, stride = 4;
+  static constexpr int quads = 3, stride = Policy::result_stride;
 
   static __device__ __forceinline__ void evaluate(const node_gather::Tile& tile, const tiles::Placed& placed,
                                                   float (&result)[4 * quads]) {

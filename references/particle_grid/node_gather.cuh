@@ -24,6 +24,7 @@ struct Policy {
   static constexpr int place_threads = 128;
   static constexpr int gather_threads = 128;
   static constexpr int piece = 320;
+  static constexpr int result_stride = 3;
   static constexpr int gather_blocks_per_sm = 6;
 #else
   static constexpr int plan_threads = 256;
@@ -33,6 +34,7 @@ struct Policy {
   static constexpr int gather_threads = 256;
   static constexpr int piece = 512;  // half a full tile: 38 KB of shared memory a block
   static constexpr int gather_blocks_per_sm = 4;
+  static constexpr int result_stride = 4;  // float4: three, padded to two whole sectors
 #endif
 };
 

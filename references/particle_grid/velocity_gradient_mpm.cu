@@ -31,7 +31,7 @@ struct Policy : node_gather::Policy {
 
 /// {dv per cell 9, padding 3}
 struct Gradient {
-  static constexpr int quads = 3, stride = 4;
+  static constexpr int quads = 3, stride = Policy::result_stride;
 
   static __device__ __forceinline__ void evaluate(const node_gather::Tile& tile, const tiles::Placed& placed,
                                                   float (&result)[4 * quads]) {
