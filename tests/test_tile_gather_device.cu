@@ -187,7 +187,6 @@ TYPED_TEST(TileGatherBlock, SpacingThatIsNoPowerOfTwo) {
 }  // namespace
 }  // namespace gpuphys::tiles
 
-#ifndef GPUPHYS_EMULATED
 int main(int argc, char** argv) {
   testing::InitGoogleTest(&argc, argv);
   int devices = 0;
@@ -197,4 +196,3 @@ int main(int argc, char** argv) {
   }
   return RUN_ALL_TESTS();
 }
-#endif
