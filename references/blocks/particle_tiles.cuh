@@ -47,8 +47,9 @@ namespace gpuphys::tiles {
 /// Tiles of SideX x SideY x SideZ cells for splines of order 1 (hat) or 2 (quadratic) on collocated nodes or
 /// on the faces of a MAC grid.
 ///
-/// Clamped: for gathers (locate_clamped()). A particle that no node reaches counts as one in the nearest cell that
-/// some node does reach: clamped to the array, all its nodes are the same, and its place in the cell is nothing.
+/// Clamped: for gathers (locate_clamped()). A particle that no node reaches counts as one in the nearest cell
+/// that some node does reach: clamped to the array, all its nodes are the same, and its place in the cell is
+/// nothing.
 template <int SideX, int SideY, int SideZ, int Order, bool Staggered, bool Clamped = false>
 struct Tiling {
   static_assert(Order == 1 || Order == 2);
@@ -109,7 +110,7 @@ struct Place {
                     ///< collocated and clamped: position from the nearest node, [-1/2, 1/2];
                     ///< staggered: position from the nearest whole cell's plane, [-1/2, 1/2], below 0 in the
                     ///< upper half of the cell
-  int cell;         ///< number of the cell in the tile, z fastest (collocated: cell_of() says, unless clamped)
+  int cell;  ///< number of the cell in the tile, z fastest (collocated: cell_of() says, unless clamped)
 };
 
 /// Position x in cells, less the whole number `cell`: as exact as float32 holds it, for any spacing.
@@ -126,8 +127,8 @@ __device__ __forceinline__ int whole(float x) {
   return __float2int_rd(fminf(fmaxf(x, -1e9f), 1e9f));
 }
 
-/// locate() of a gather: every particle has a tile and a cell. The remainder decides the cell, not the quotient, so
-/// that rounding never puts a particle a cell away from its place.
+/// locate() of a gather: every particle has a tile and a cell. The remainder decides the cell, not the
+/// quotient, so that rounding never puts a particle a cell away from its place.
 template <class Tiling>
 __device__ __forceinline__ Place locate_clamped(const TileGrid& g, float x, float y, float z) {
   const float position[3] = {x, y, z};
@@ -139,8 +140,8 @@ __device__ __forceinline__ Place locate_clamped(const TileGrid& g, float x, floa
     const int side = Tiling::side(d);
     const float cells = g.inverse_dx != 0.0f ? position[d] * g.inverse_dx : position[d] / g.dx;
     const int nearest = whole(cells + 0.5f);  // half-way, either will do
-    const float from_nearest = g.inverse_dx != 0.0f ? cells - static_cast<float>(nearest)
-                                                    : beyond(g, position[d], nearest);
+    const float from_nearest =
+        g.inverse_dx != 0.0f ? cells - static_cast<float>(nearest) : beyond(g, position[d], nearest);
     static_assert(Tiling::staggered || Tiling::order == 2, "of two nodes the lower one is not the nearest");
     const int key = !Tiling::staggered || from_nearest < 0.0f ? nearest - 1 : nearest;
     const int lowest = -Tiling::highest, highest = g.nodes[d] - Tiling::lowest - 1;
