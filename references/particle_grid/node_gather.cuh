@@ -10,7 +10,7 @@ namespace gpuphys::node_gather {
 constexpr int kComponents = 3;
 
 /// 1,024 particles a tile where there are eight a cell.
-using Tiling = tiles::Tiling<4, 4, 8, 2, false, true>;
+using Tiling = tiles::Tiling<4, 4, 8, 2, false, tiles::Clamp::within_reach>;
 using Tile = tiles::Tile<Tiling, kComponents>;
 
 struct Policy {
@@ -46,6 +46,7 @@ struct Local {
   float per_cell[3][3];  ///< [component][axis]
 };
 
+template <class Tile>
 __device__ __forceinline__ Local at_particle(const Tile& tile, const tiles::Placed& placed) {
   const tiles::Along3 x = along(placed.place[0]), y = along(placed.place[1]), z = along(placed.place[2]);
   const int lowest = Tile::lowest_of(placed.cell);
