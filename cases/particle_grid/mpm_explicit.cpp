@@ -323,7 +323,7 @@ std::vector<Scene> scenes() {
                  .particle = deformed(107, [](std::uint64_t) {
                    return Vec3{3, 3, 3};
                  })});
-  all.push_back({.stress = "largest_F",
+  all.push_back({.stress = "largest_deformation",
                  .about = "F = 1e4 Q without volume stress and with a short step",
                  .nodes = {14, 17, 20},
                  .n = 5003,
