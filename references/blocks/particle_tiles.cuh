@@ -196,7 +196,10 @@ __device__ __forceinline__ Place locate(const TileGrid& g, float x, float y, flo
       // Where the quotient was rounded across a plane.
       p.offset[d] = upper ? fminf(p.offset[d], -0x1p-30f) : fmaxf(p.offset[d], 0.0f);
     } else {
-      p.offset[d] = cells - static_cast<float>(tile[d] * side + first);
+      const int near = Tiling::order == 1 ? key : key + 1, tile_first = tile[d] * side + first;
+      p.offset[d] = g.inverse_dx != 0.0f
+                        ? cells - static_cast<float>(tile_first)
+                        : static_cast<float>(near - tile_first) + beyond(g, position[d], near);
     }
   }
   p.tile = reaches ? g.tile(tile[0], tile[1], tile[2]) : -1;
