@@ -12,7 +12,7 @@
 
 #include "cases/particle_grid/mac_particles.hpp"
 #include "cases/particle_grid/mac_transfer_sets.hpp"
-#include "core/random.hpp"
+#include "core/generators/random.hpp"
 #include "tests/run_module.hpp"
 
 namespace gpuphys::testing::mac {

@@ -6,7 +6,7 @@
 #include <cstdint>
 #include <vector>
 
-#include "core/random.hpp"
+#include "core/generators/random.hpp"
 #include "tests/run_module.hpp"
 
 namespace gpuphys {

@@ -5,7 +5,7 @@
 #include <utility>
 
 #include "core/judge/checks.hpp"
-#include "core/parallel.hpp"
+#include "core/base/parallel.hpp"
 
 namespace gpuphys::entry_checks {
 namespace {

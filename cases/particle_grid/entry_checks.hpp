@@ -5,7 +5,7 @@
 #include <cstdint>
 #include <string>
 
-#include "core/task.hpp"
+#include "core/contract/task.hpp"
 
 namespace gpuphys::entry_checks {
 

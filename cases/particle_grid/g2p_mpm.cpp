@@ -12,7 +12,7 @@
 #include "cases/particle_grid/node_velocity.hpp"
 #include "cases/particle_grid/particle_blocks.hpp"
 #include "core/judge/checks.hpp"
-#include "core/random.hpp"
+#include "core/generators/random.hpp"
 
 namespace gpuphys::g2p_mpm {
 namespace {

@@ -7,8 +7,8 @@
 
 #include "cases/particle_grid/particle_blocks.hpp"
 #include "core/generators/fourier_velocity.hpp"
-#include "core/parallel.hpp"
-#include "core/random.hpp"
+#include "core/base/parallel.hpp"
+#include "core/generators/random.hpp"
 
 namespace gpuphys::mac_particles {
 namespace {

@@ -5,7 +5,7 @@
 #include <algorithm>
 #include <cmath>
 
-#include "core/random.hpp"
+#include "core/generators/random.hpp"
 
 namespace gpuphys::mac_particles {
 

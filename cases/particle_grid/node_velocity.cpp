@@ -4,8 +4,8 @@
 #include <numbers>
 
 #include "core/generators/fourier_velocity.hpp"
-#include "core/parallel.hpp"
-#include "core/random.hpp"
+#include "core/base/parallel.hpp"
+#include "core/generators/random.hpp"
 
 namespace gpuphys::node_velocity {
 namespace {

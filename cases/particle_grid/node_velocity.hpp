@@ -8,7 +8,7 @@
 #include <string>
 #include <vector>
 
-#include "core/arrays.hpp"
+#include "core/contract/arrays.hpp"
 
 namespace gpuphys::node_velocity {
 

@@ -7,7 +7,7 @@
 #include "cases/particle_grid/node_velocity.hpp"
 #include "cases/particle_grid/particle_blocks.hpp"
 #include "core/judge/checks.hpp"
-#include "core/parallel.hpp"
+#include "core/base/parallel.hpp"
 
 namespace gpuphys::velocity_gradient_mpm {
 namespace {

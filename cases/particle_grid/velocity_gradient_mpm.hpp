@@ -1,7 +1,7 @@
 // Contract of velocity_gradient_mpm (specification: cases/particle_grid/velocity_gradient_mpm.md).
 #pragma once
 
-#include "core/contract.hpp"
+#include "core/contract/contract.hpp"
 
 namespace gpuphys::velocity_gradient_mpm {
 

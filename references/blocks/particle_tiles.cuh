@@ -38,7 +38,7 @@
 #include <cstdint>
 #include <stdexcept>
 
-#include "core/module.hpp"
+#include "core/contract/module.hpp"
 #include "references/common/device_buffer.cuh"
 #include "references/common/vector_reduction.cuh"
 

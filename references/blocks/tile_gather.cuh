@@ -21,7 +21,7 @@
 #include <cstddef>
 #include <cstdint>
 
-#include "core/module.hpp"
+#include "core/contract/module.hpp"
 #include "references/blocks/particle_tiles.cuh"
 #include "references/blocks/tile_sums.cuh"
 #include "references/common/device_buffer.cuh"

@@ -31,7 +31,7 @@
 
 #include <algorithm>
 
-#include "core/view.hpp"
+#include "core/contract/view.hpp"
 #include "references/blocks/particle_tiles.cuh"
 #include "references/blocks/tile_sums.cuh"
 #include "references/common/alignment.hpp"

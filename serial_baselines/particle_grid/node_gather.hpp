@@ -7,7 +7,7 @@
 #include <cstddef>
 #include <cstdint>
 
-#include "core/view.hpp"
+#include "core/contract/view.hpp"
 
 namespace gpuphys::serial {
 
