@@ -5,7 +5,7 @@
 #include <array>
 #include <cmath>
 
-#include "core/random.hpp"
+#include "core/generators/random.hpp"
 #include "tests/time_loops/mpm_explicit.hpp"
 
 namespace gpuphys {

@@ -9,8 +9,8 @@
 
 #include "cases/particle_grid/particle_blocks.hpp"
 #include "cases/particle_grid/position_steps.hpp"
+#include "core/generators/random.hpp"
 #include "core/judge/checks.hpp"
-#include "core/random.hpp"
 
 namespace gpuphys::mpm_explicit {
 namespace {

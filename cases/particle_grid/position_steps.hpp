@@ -3,7 +3,7 @@
 
 #include <string>
 
-#include "core/task.hpp"
+#include "core/contract/task.hpp"
 
 namespace gpuphys::position_steps {
 
