@@ -49,18 +49,16 @@ namespace gpuphys::tiles {
 ///
 /// Clamped: for gathers (locate_clamped()). Along an axis, a particle that no node reaches counts as one in
 /// the nearest cell that some node does reach: clamped to the array, all its nodes are the same, and its
-/// place in the cell is nothing. Where particles scatter as well, the cell is the next one, which no node
-/// reaches.
-enum class Clamp { none, within_reach, beyond_reach };
-
-template <int SideX, int SideY, int SideZ, int Order, bool Staggered, Clamp Clamped = Clamp::none>
+/// place in the cell is nothing. Where particles scatter as well, Beyond = 1: the cell is the next one, which
+/// no node reaches.
+template <int SideX, int SideY, int SideZ, int Order, bool Staggered, bool Clamped = false, int Beyond = 0>
 struct Tiling {
   static_assert(Order == 1 || Order == 2);
   static constexpr int order = Order;
   static constexpr bool staggered = Staggered;
-  static constexpr bool clamped = Clamped != Clamp::none;
-  static constexpr int beyond = Clamped == Clamp::beyond_reach;  ///< cells more at either end
-  static constexpr int lowest = Staggered ? -1 : 0;              ///< node reached, from the key
+  static constexpr bool clamped = Clamped;
+  static constexpr int beyond = Beyond;              ///< cells more at either end
+  static constexpr int lowest = Staggered ? -1 : 0;  ///< node reached, from the key
   static constexpr int highest = Order;
   static constexpr int reach = highest - lowest + 1;  ///< nodes from the lowest to the highest
   static constexpr int cells = SideX * SideY * SideZ;

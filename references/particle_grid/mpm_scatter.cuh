@@ -46,10 +46,9 @@ struct Policy {
 };
 
 constexpr int kTileSide = 4, kTileNodes = kTileSide * kTileSide * kTileSide;
-/// Clamped: where particles that no node reaches need a slot as well (tiles::Clamp).
+/// Clamped: particles that no node reaches have a slot as well.
 template <bool Clamped>
-using Tiling = tiles::Tiling<kTileSide, kTileSide, kTileSide, 2, false,
-                             Clamped ? tiles::Clamp::beyond_reach : tiles::Clamp::none>;
+using Tiling = tiles::Tiling<kTileSide, kTileSide, kTileSide, 2, false, Clamped, Clamped>;
 constexpr int kReach = 3;                                  // nodes a particle reaches along an axis
 constexpr int kSide = kTileSide + kReach - 1;              // nodes of a tile with its halo
 constexpr int kCells = kTileSide * kTileSide * kTileSide;  // of a tile

@@ -10,7 +10,7 @@ namespace gpuphys::node_gather {
 constexpr int kComponents = 3;
 
 /// 1,024 particles a tile where there are eight a cell.
-using Tiling = tiles::Tiling<4, 4, 8, 2, false, tiles::Clamp::within_reach>;
+using Tiling = tiles::Tiling<4, 4, 8, 2, false, true>;
 using Tile = tiles::Tile<Tiling, kComponents>;
 
 struct Policy {
