@@ -196,7 +196,10 @@ std::function<Particles()> half_lattice(const Extents& cells, std::array<int, 3>
           if ((i + 2 * j + 3 * k) % every != 0) continue;
           const Extents at{i, j, k};
           Vec3 x;
-          for (std::size_t d = 0; d < 3; ++d) x[d] = static_cast<double>(at[d]) + 0.5 * parity[d];
+          for (std::size_t d = 0; d < 3; ++d) {
+            x[d] = static_cast<double>(at[d]) + 0.5 * parity[d];
+            if (x[d] == 0) x[d] = -0.0;
+          }
           all.push_back(x);
         }
       }

@@ -48,7 +48,7 @@ struct Policy {
   static constexpr int tile_x = 8, tile_y = 8, tile_z = 16;
 #endif
   static constexpr int most_halo = 8;  // cells of reach; no more than a tile has
-  static constexpr int gather_blocks_per_sm = 6;
+  static constexpr int gather_blocks_per_sm = 8;
 };
 static_assert(Policy::tile_z + 2 * Policy::most_halo <= 32, "a column of a tile is a word of bits");
 static_assert(Policy::tile_x >= Policy::most_halo && Policy::tile_y >= Policy::most_halo &&
@@ -440,8 +440,11 @@ __global__ void __launch_bounds__(Policy::threads)
   const int lane = static_cast<int>(threadIdx.x % 32);
   const int first = static_cast<int>((blockIdx.x * blockDim.x + threadIdx.x) / 32);
   const int stride = static_cast<int>(gridDim.x * blockDim.x / 32), opens = s.counts[kOpen];
+  Open next{};
+  if (first < opens) next = s.open[first];
   for (int o = first; o < opens; o += stride) {
-    const Open open = s.open[o];
+    const Open open = next;
+    next = s.open[min(o + stride, opens - 1)];
     const int i = open.cell / g.n[2] / g.n[1], j = open.cell / g.n[2] % g.n[1], k = open.cell % g.n[2];
     const int halo = min(g.halo, static_cast<int>(open.within + 0.5f + kSlack)), width = 2 * halo + 1;
     float least = __int_as_float(0x7f800000);
