@@ -9,7 +9,7 @@
 #include <numeric>
 #include <vector>
 
-#include "core/view.hpp"
+#include "core/contract/view.hpp"
 
 namespace gpuphys::testing {
 

@@ -8,7 +8,7 @@
 #include <vector>
 
 #include "cases/collision_query/particle_sdf.hpp"
-#include "core/random.hpp"
+#include "core/generators/random.hpp"
 #include "tests/run_module.hpp"
 
 namespace gpuphys {

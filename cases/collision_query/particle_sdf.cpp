@@ -12,10 +12,10 @@
 #include <vector>
 
 #include "cases/particle_grid/particle_blocks.hpp"
+#include "core/base/parallel.hpp"
+#include "core/contract/task.hpp"
+#include "core/generators/random.hpp"
 #include "core/judge/checks.hpp"
-#include "core/parallel.hpp"
-#include "core/random.hpp"
-#include "core/task.hpp"
 
 namespace gpuphys::particle_sdf {
 namespace {

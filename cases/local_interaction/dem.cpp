@@ -13,8 +13,8 @@
 
 #include "cases/local_interaction/grain_inputs.hpp"
 #include "core/judge/checks.hpp"
-#include "core/random.hpp"
-#include "core/task.hpp"
+#include "core/generators/random.hpp"
+#include "core/contract/task.hpp"
 
 namespace gpuphys::dem {
 namespace {

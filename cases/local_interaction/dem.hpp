@@ -1,7 +1,7 @@
 // Contract of dem (specification: cases/local_interaction/dem.md).
 #pragma once
 
-#include "core/contract.hpp"
+#include "core/contract/contract.hpp"
 
 namespace gpuphys::dem {
 

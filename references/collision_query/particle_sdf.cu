@@ -28,7 +28,7 @@
 #include <stdexcept>
 
 #include "cases/collision_query/particle_sdf.hpp"
-#include "core/module.hpp"
+#include "core/contract/module.hpp"
 #include "references/common/alignment.hpp"
 #include "references/common/approximate.cuh"
 #include "references/common/block_sum.cuh"

@@ -15,7 +15,7 @@
 
 #include <cstddef>
 
-#include "core/module.hpp"
+#include "core/contract/module.hpp"
 #include "references/common/machine.cuh"
 
 namespace gpuphys {
@@ -46,7 +46,8 @@ void launch_dependent(void (*kernel)(Parameters...), unsigned blocks, unsigned t
   config.blockDim = dim3(threads);
   config.dynamicSmemBytes = shared_bytes;
   config.attrs = &attribute;
-  config.numAttrs = device_attribute(cudaDevAttrComputeCapabilityMajor) >= 9 ? 1 : 0;
+  static const bool overlaps = device_attribute(cudaDevAttrComputeCapabilityMajor) >= 9;
+  config.numAttrs = overlaps ? 1 : 0;
   GPUPHYS_CUDA(cudaLaunchKernelEx(&config, kernel, static_cast<Parameters>(arguments)...));
 }
 

@@ -36,7 +36,7 @@
 #include <stdexcept>
 
 #include "cases/local_interaction/contact_dem.hpp"
-#include "core/module.hpp"
+#include "core/contract/module.hpp"
 #include "references/blocks/neighbour_grid.cuh"
 #include "references/common/alignment.hpp"
 #include "references/common/machine.cuh"

@@ -19,7 +19,7 @@
 #include <stdexcept>
 
 #include "cases/local_interaction/dem.hpp"
-#include "core/module.hpp"
+#include "core/contract/module.hpp"
 #include "references/blocks/neighbour_grid.cuh"
 #include "references/common/alignment.hpp"
 #include "references/common/approximate.cuh"

@@ -8,7 +8,7 @@
 #include <limits>
 #include <vector>
 
-#include "core/module.hpp"
+#include "core/contract/module.hpp"
 
 namespace gpuphys::particle_sdf {
 

@@ -8,7 +8,7 @@
 #include <numbers>
 #include <vector>
 
-#include "core/module.hpp"
+#include "core/contract/module.hpp"
 #include "serial_baselines/local_interaction/cell_lists.hpp"
 
 namespace gpuphys::dem {
