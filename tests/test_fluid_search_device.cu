@@ -10,8 +10,8 @@
 #include <string>
 #include <vector>
 
-#include "core/harness.hpp"
-#include "core/random.hpp"
+#include "core/generators/random.hpp"
+#include "core/run/gpu/ceilings.hpp"
 #include "references/blocks/fluid_search.cuh"
 
 namespace gpuphys::testing {
@@ -297,7 +297,7 @@ int main(int argc, char** argv) {
 #ifndef GPUPHYS_EMULATED
   if (device) {
     try {
-      gpuphys::make_device_backend();
+      gpuphys::require_gpu();
     } catch (const gpuphys::Error& e) {
       std::fprintf(stderr, "test_fluid_search_device: %s\n", e.what());
       return static_cast<int>(e.code());

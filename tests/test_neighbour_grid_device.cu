@@ -12,8 +12,8 @@
 #include <string>
 #include <vector>
 
-#include "core/harness.hpp"
-#include "core/random.hpp"
+#include "core/run/gpu/ceilings.hpp"
+#include "core/generators/random.hpp"
 #include "references/blocks/neighbour_grid.cuh"
 
 namespace gpuphys::testing {
@@ -357,14 +357,16 @@ int main(int argc, char** argv) {
     std::fprintf(stderr, "usage: test_neighbour_grid_device [host|device]\n");
     return 2;
   }
+#ifndef GPUPHYS_EMULATED
   if (device) {
     try {
-      gpuphys::make_device_backend();
+      gpuphys::require_gpu();
     } catch (const gpuphys::Error& e) {
       std::fprintf(stderr, "test_neighbour_grid_device: %s\n", e.what());
       return static_cast<int>(e.code());
     }
   }
+#endif
   testing::GTEST_FLAG(filter) = device ? "NeighbourGridDevice.*" : "NeighbourGridHost.*";
   return RUN_ALL_TESTS();
 }

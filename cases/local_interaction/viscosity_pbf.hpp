@@ -1,7 +1,7 @@
 // Contract of viscosity_pbf (specification: cases/local_interaction/viscosity_pbf.md).
 #pragma once
 
-#include "core/contract.hpp"
+#include "core/contract/contract.hpp"
 
 namespace gpuphys::viscosity_pbf {
 

@@ -2,7 +2,7 @@
 // cases/local_interaction/vorticity_confinement_pbf.md).
 #pragma once
 
-#include "core/contract.hpp"
+#include "core/contract/contract.hpp"
 
 namespace gpuphys::vorticity_confinement_pbf {
 

@@ -7,7 +7,7 @@
 #include <utility>
 
 #include "cases/position_constraint/fluid_inputs.hpp"
-#include "core/task.hpp"
+#include "core/contract/task.hpp"
 
 namespace gpuphys::fluid {
 

@@ -6,8 +6,8 @@
 #include <utility>
 
 #include "core/generators/abc_flow.hpp"
-#include "core/parallel.hpp"
-#include "core/random.hpp"
+#include "core/base/parallel.hpp"
+#include "core/generators/random.hpp"
 
 namespace gpuphys::fluid {
 namespace {

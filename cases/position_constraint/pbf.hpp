@@ -1,7 +1,7 @@
 // Contract of pbf (specification: cases/position_constraint/pbf.md).
 #pragma once
 
-#include "core/contract.hpp"
+#include "core/contract/contract.hpp"
 
 namespace gpuphys::pbf {
 

@@ -80,7 +80,7 @@
 #include <cstdint>
 #include <stdexcept>
 
-#include "core/module.hpp"
+#include "core/contract/module.hpp"
 #include "references/common/block_sum.cuh"
 #include "references/common/dependent_launch.cuh"
 #include "references/common/device_buffer.cuh"

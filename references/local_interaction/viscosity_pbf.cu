@@ -5,7 +5,7 @@
 // the sweep is even_out() of fluid_operators.cuh. The change is summed by itself and added once.
 // Other block sizes (GPUPHYS_OTHER_BLOCKS) are there too.
 #include "cases/local_interaction/viscosity_pbf.hpp"
-#include "core/module.hpp"
+#include "core/contract/module.hpp"
 #include "references/blocks/fluid_operators.cuh"
 #include "references/common/alignment.hpp"
 

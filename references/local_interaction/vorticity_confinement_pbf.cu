@@ -6,7 +6,7 @@
 // confine() of fluid_operators.cuh. omega and its slope are held without the kernel's factor, so that their
 // squares stay within float32. Other block sizes (GPUPHYS_OTHER_BLOCKS) are there too.
 #include "cases/local_interaction/vorticity_confinement_pbf.hpp"
-#include "core/module.hpp"
+#include "core/contract/module.hpp"
 #include "references/blocks/fluid_operators.cuh"
 #include "references/common/alignment.hpp"
 

@@ -11,7 +11,7 @@
 // references/blocks/fluid_search.cuh, with other block sizes (GPUPHYS_OTHER_BLOCKS); sweeps:
 // fluid_operators.cuh.
 #include "cases/position_constraint/pbf.hpp"
-#include "core/module.hpp"
+#include "core/contract/module.hpp"
 #include "references/blocks/fluid_operators.cuh"
 #include "references/common/alignment.hpp"
 

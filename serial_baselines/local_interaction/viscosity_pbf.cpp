@@ -2,7 +2,7 @@
 // cases/position_constraint/fluid.md alone. Built as FP64 truth and as FP32 variants (Real).
 #include "cases/local_interaction/viscosity_pbf.hpp"
 
-#include "core/module.hpp"
+#include "core/contract/module.hpp"
 #include "serial_baselines/position_constraint/fluid.hpp"
 
 namespace gpuphys::viscosity_pbf {

@@ -3,7 +3,7 @@
 // FP64 truth and as FP32 variants (Real).
 #include "cases/local_interaction/vorticity_confinement_pbf.hpp"
 
-#include "core/module.hpp"
+#include "core/contract/module.hpp"
 #include "serial_baselines/position_constraint/fluid.hpp"
 
 namespace gpuphys::vorticity_confinement_pbf {

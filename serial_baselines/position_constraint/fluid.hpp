@@ -12,8 +12,8 @@
 #include <span>
 #include <vector>
 
-#include "core/parallel.hpp"
-#include "core/view.hpp"
+#include "core/base/parallel.hpp"
+#include "core/contract/view.hpp"
 
 namespace gpuphys::serial {
 

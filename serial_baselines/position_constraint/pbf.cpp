@@ -2,7 +2,7 @@
 // as FP64 truth and as FP32 variants (Real).
 #include "cases/position_constraint/pbf.hpp"
 
-#include "core/module.hpp"
+#include "core/contract/module.hpp"
 #include "serial_baselines/position_constraint/fluid.hpp"
 
 namespace gpuphys::pbf {

@@ -2,7 +2,7 @@
 // fluid.md alone. Built as FP64 truth and as FP32 variants (Real).
 #include "cases/position_constraint/solve_constraint_pbf.hpp"
 
-#include "core/module.hpp"
+#include "core/contract/module.hpp"
 #include "serial_baselines/position_constraint/fluid.hpp"
 
 namespace gpuphys::solve_constraint_pbf {

@@ -10,7 +10,7 @@
 #include <string>
 
 #include "cases/position_constraint/fluid_inputs.hpp"
-#include "core/random.hpp"
+#include "core/generators/random.hpp"
 #include "tests/run_module.hpp"
 
 namespace gpuphys::testing {
