@@ -10,7 +10,7 @@
 #include <memory>
 
 #include "cases/collision_query/cloth_sheets_inputs.hpp"
-#include "core/comparators.hpp"
+#include "cases/collision_query/toi_checks.hpp"
 #include "core/random.hpp"
 #include "core/task.hpp"
 
@@ -72,142 +72,11 @@ InputSet sheets_set(std::string name, SetKind kind, Size size, const Parameters&
   return set;
 }
 
-// ---- checks ----
-
-// Truth as the best float32 output.
-double rounded(const HostArray& truth, std::int64_t i) {
-  return static_cast<double>(static_cast<float>(truth.value(i)));
-}
-
-Check relative_l2_of_toi_minus_1() {
-  return {"toi_minus_1_rel_l2",
-          CheckKind::paper,
-          "toi - 1",
-          "relative L2",
-          4e-6,
-          "the paper's table of inputs and checks",
-          true,
-          [](const Judged& j) {
-            const HostArray &got = find(j.outputs, "toi", "outputs"), &truth = find(*j.truth, "toi", "truth");
-            double difference = 0, norm = 0;
-            for (std::int64_t i = 0; i < got.size(); ++i) {
-              const double g = got.value(i), r = rounded(truth, i);
-              difference += (g - r) * (g - r);
-              norm += (r - 1) * (r - 1);
-            }
-            Measured m;
-            m.error = std::sqrt(norm > 0 ? difference / norm : difference);
-            return m;
-          }};
-}
-
-constexpr double kLocalTolerance = 1e-4;
-
-Check local_error() {
-  return {"toi_local",
-          CheckKind::local,
-          "toi",
-          "largest error",
-          kLocalTolerance,
-          "inputs keep no event whose time float32 rounding, taken at sixteen units of the largest term of "
-          "the cubic, could move by more than 5e-4; what is seen are one to two units",
-          true,
-          [](const Judged& j) {
-            const HostArray &got = find(j.outputs, "toi", "outputs"), &truth = find(*j.truth, "toi", "truth");
-            Measured worst;
-            worst.error = -1;
-            for (std::int64_t i = 0; i < got.size(); ++i) {
-              const double e = std::abs(got.value(i) - rounded(truth, i));
-              if (!(e <= worst.error)) {
-                worst = {e, fmt::format("worst at {}: got {:.9g}, expected {:.9g}", index_text(got, i),
-                                        got.value(i), rounded(truth, i))};
-                if (!std::isfinite(e)) break;
-              }
-            }
-            return worst;
-          }};
-}
-
-Check mismatched_events() {
-  return {"toi_mismatched_events",
-          CheckKind::local,
-          "toi",
-          "edges with an event in one solution only, or with times more than 1e-3 apart",
-          0.5,
-          "none: inputs hold no event that rounding in float32 can add or remove",
-          true,
-          [](const Judged& j) {
-            const HostArray &got = find(j.outputs, "toi", "outputs"), &truth = find(*j.truth, "toi", "truth");
-            Measured m;
-            for (std::int64_t i = 0; i < got.size(); ++i) {
-              const double g = got.value(i), r = rounded(truth, i);
-              if ((g < 1) == (r < 1) && std::abs(g - r) <= 1e-3) continue;
-              if (m.error == 0)
-                m.detail = fmt::format("first at {}: got {:.9g}, expected {:.9g}", index_text(got, i), g, r);
-              m.error += 1;
-            }
-            return m;
-          }};
-}
-
-/// Every output within [0, 1].
-Check within_the_step() {
-  return {"within_the_step",
-          CheckKind::invariant,
-          "toi",
-          "number of values outside [0, 1]",
-          0.5,
-          "an impact outside the step is none of it",
-          false,
-          [](const Judged& j) {
-            const HostArray& toi = find(j.outputs, "toi", "outputs");
-            Measured m;
-            for (std::int64_t i = 0; i < toi.size(); ++i) {
-              if (toi.value(i) >= 0 && toi.value(i) <= 1) continue;
-              if (m.error == 0) m.detail = fmt::format("{} = {:.9g}", index_text(toi, i), toi.value(i));
-              m.error += 1;
-            }
-            return m;
-          }};
-}
-
-/// Every output equals what `expected` says of its edge, within `tolerance`.
-Check known_times(std::string name, double tolerance, std::string why,
-                  std::function<double(std::int64_t)> expected) {
-  return {std::move(name),
-          CheckKind::invariant,
-          "toi",
-          "largest distance from the known time",
-          tolerance,
-          std::move(why),
-          false,
-          [=](const Judged& j) {
-            const HostArray& toi = find(j.outputs, "toi", "outputs");
-            Measured worst;
-            for (std::int64_t i = 0; i < toi.size(); ++i) {
-              const double e = std::abs(toi.value(i) - expected(i));
-              if (!(e <= worst.error)) {
-                worst = {e, fmt::format("{}: got {:.9g}, known {:.9g}", index_text(toi, i), toi.value(i),
-                                        expected(i))};
-                if (!std::isfinite(e)) break;
-              }
-            }
-            return worst;
-          }};
-}
-
-Check no_events(std::string why) {
-  // A single event is an error of up to 1: any tolerance below the resolution of an impact time does.
-  return known_times("no_events", 1e-12, std::move(why), [](std::int64_t) { return 1.0; });
-}
-
 // ---- hard cases ----
 
-InputSet hard(const std::string& stress, const std::string& about, std::function<Problem()> make,
-              std::vector<Check> invariants, bool use_task_checks) {
-  invariants.push_back(within_the_step());
-  return hard_case(stress, about, std::move(make), std::move(invariants), use_task_checks);
-}
+using toi::hard;
+using toi::known_times;
+using toi::no_events;
 
 void add_edge(EdgeMesh& mesh, const Point& a0, const Point& b0, const Point& a1, const Point& b1) {
   const auto narrow = [](const Point& p) {
@@ -277,30 +146,32 @@ InputSet near_the_ends() {
         }
         return problem_from(mesh);
       },
-      {{"either_answer", CheckKind::invariant, "toi", "largest distance from the nearer of t = height and 1",
-        4e-6, "the impact is found at its time or not at all", false,
-        [](const Judged& j) {
-          const HostArray& toi = find(j.outputs, "toi", "outputs");
-          Measured worst;
-          for (std::int64_t i = 0; i < toi.size(); ++i) {
-            const double e = std::min(std::abs(toi.value(i) - rod_time(i / 2)), std::abs(toi.value(i) - 1));
-            if (!(e <= worst.error)) {
-              worst = {e, fmt::format("{}: got {:.9g}, height {:.9g}", index_text(toi, i), toi.value(i),
-                                      rod_time(i / 2))};
-              if (!std::isfinite(e)) break;
-            }
-          }
-          return worst;
-        }},
-       {"agreement_of_the_pair", CheckKind::invariant, "toi", "largest difference between the two rods",
-        1e-12, "an event is found for both or for neither", false,
-        [](const Judged& j) {
-          const HostArray& toi = find(j.outputs, "toi", "outputs");
-          Measured worst;
-          for (std::int64_t i = 0; i + 1 < toi.size(); i += 2)
-            worst.error = std::max(worst.error, std::abs(toi.value(i) - toi.value(i + 1)));
-          return worst;
-        }}},
+      {worst_over({.name = "either_answer",
+                   .kind = CheckKind::invariant,
+                   .array = "toi",
+                   .quantity = "largest distance from the nearer of t = height and 1",
+                   .tolerance = 4e-6,
+                   .why = "the impact is found at its time or not at all",
+                   .needs_truth = false},
+                  [](const Judged& j) {
+                    const HostArray& toi = output(j, "toi");
+                    return Items{toi.size(), [&](std::int64_t i) {
+                                   return std::min(std::abs(toi.value(i) - rod_time(i / 2)),
+                                                   std::abs(toi.value(i) - 1));
+                                 }};
+                  }),
+       worst_over({.name = "agreement_of_the_pair",
+                   .kind = CheckKind::invariant,
+                   .array = "toi",
+                   .quantity = "largest difference between the two rods",
+                   .tolerance = 1e-12,
+                   .why = "an event is found for both or for neither",
+                   .needs_truth = false},
+                  [](const Judged& j) {
+                    const HostArray& toi = output(j, "toi");
+                    return Items{toi.size() / 2,
+                                 [&](std::int64_t k) { return toi.value(2 * k) - toi.value(2 * k + 1); }};
+                  })},
       false);
 }
 
@@ -376,6 +247,134 @@ Problem long_edges() {
   }));
 }
 
+/// Two edges with nothing else near, whose answer is exact in float32.
+struct KnownPair {
+  Point a0, b0, a1, b1, c0, d0, c1, d1;
+  double time;
+};
+
+std::vector<KnownPair> known_pairs() {
+  // An edge along x at rest, and one that falls through z = 0 at t = 1/2 (or as said).
+  const Point o{0, 0, 0}, e{2, 0, 0};
+  const auto falls = [&](const Point& c, const Point& d, double time) {
+    return KnownPair{o, e, o, e, {c[0], c[1], 1}, {d[0], d[1], 1}, {c[0], c[1], -1}, {d[0], d[1], -1}, time};
+  };
+  const auto crosses_at = [&](double x, double below, double time) {
+    return falls({x, -below, 0}, {x, 2 - below, 0}, time);
+  };
+  std::vector<KnownPair> pairs{
+      crosses_at(1, 1, 0.5),
+      crosses_at(0, 1, 0.5),  // the ends belong to both edges
+      crosses_at(2, 1, 0.5),
+      crosses_at(1, 0, 0.5),
+      crosses_at(1, 2, 0.5),
+      crosses_at(0, 0, 0.5),
+      crosses_at(2, 2, 0.5),
+      crosses_at(-0x1p-20, 1, 1),  // and nothing beyond
+      crosses_at(2 + 0x1p-20, 1, 1),
+      crosses_at(1, -0x1p-20, 1),
+      crosses_at(1, 2 + 0x1p-20, 1),
+      // Contact at the start: w . (u x v) has the sign of z there, and zero counts as positive.
+      {o, e, o, e, {1, -1, 0}, {1, 1, 0}, {1, -1, -1}, {1, 1, -1}, 0},
+      {o, e, o, e, {1, -1, 0}, {1, 1, 0}, {1, -1, 1}, {1, 1, 1}, 1},
+      {o, e, o, e, {1, 1, 0}, {1, -1, 0}, {1, 1, 1}, {1, -1, 1}, 0},
+      // Arrival at the end, from above and from below.
+      {o, e, o, e, {1, -1, 1}, {1, 1, 1}, {1, -1, 0}, {1, 1, 0}, 1},
+      {o, e, o, e, {1, -1, -1}, {1, 1, -1}, {1, -1, -0.0}, {1, 1, -0.0}, 1},
+      {o, e, o, e, {1, -1, 0.25}, {1, 1, 0.25}, {1, -1, -0.75}, {1, 1, -0.75}, 0.25},
+      // It turns about its first end, which rests (c3 = 0): z where they cross is 1/2 - t.
+      {o, e, o, e, {1, -1, 0.5}, {1, 1, 0.5}, {1, -1, 0.5}, {1, 1, -1.5}, 0.5},
+  };
+  // Nearly parallel: the lines cross at an angle of 2^-k, in the middle of both. Below 1e-6 they count as
+  // parallel.
+  for (const int k : {7, 10, 13, 16, 19})
+    pairs.push_back(falls({0, -std::ldexp(1, -k), 0}, {2, std::ldexp(1, -k), 0}, 0.5));
+  pairs.push_back(falls({0, -0x1p-21, 0}, {2, 0x1p-21, 0}, 1));
+  // A short edge across a long one.
+  pairs.push_back({o, e, o, e, {1, -0x1p-20, 1}, {1, 0x1p-20, 1}, {1, -0x1p-20, -1}, {1, 0x1p-20, -1}, 0.5});
+  return pairs;
+}
+
+Problem exact_pairs(double scale) {
+  EdgeMesh mesh;
+  double z = 0;
+  for (const KnownPair& k : known_pairs()) {
+    // Apart along z, where coordinates have few digits.
+    const auto placed = [&](const Point& p) { return Point{scale * p[0], scale * p[1], scale * (p[2] + z)}; };
+    add_edge(mesh, placed(k.a0), placed(k.b0), placed(k.a1), placed(k.b1));
+    add_edge(mesh, placed(k.c0), placed(k.d0), placed(k.c1), placed(k.d1));
+    z += 8;
+  }
+  return problem_from(mesh);
+}
+
+InputSet exact_pairs_set(const std::string& name, const std::string& about, double scale) {
+  return hard(
+      name, about, [=] { return exact_pairs(scale); },
+      {known_times("known_times", 0x1p-22, "closed forms with numbers exact in float32",
+                   [](std::int64_t e) { return known_pairs()[static_cast<std::size_t>(e / 2)].time; })},
+      true);
+}
+
+// Pairs of rods that meet in each corner, on each face and in the middle of the scene.
+Problem rods_in_the_corners() {
+  EdgeMesh mesh;
+  for (int k = 0; k < 27; ++k) {
+    const double x = 400.0 * (k % 3 - 1), y = 500.0 * (k / 3 % 3 - 1), z = 300.0 * (k / 9 - 1);
+    // Each ends where the scene does.
+    const double sx = x > 0 ? -1 : 1, sy = y > 0 ? -1 : 1, sz = z > 0 ? -1 : 1;
+    add_edge(mesh, {x, y + sy, z}, {x + 2 * sx, y + sy, z}, {x, y + sy, z}, {x + 2 * sx, y + sy, z});
+    add_edge(mesh, {x + sx, y, z + 2 * sz}, {x + sx, y + 2 * sy, z + 2 * sz}, {x + sx, y, z - 2 * sz},
+             {x + sx, y + 2 * sy, z - 2 * sz});
+  }
+  return problem_from(mesh);
+}
+
+// Edges that turn over, a half of them at rest and a quarter nearly so: the cubic's leading coefficient is
+// zero or nearly.
+Problem half_at_rest() {
+  return problem_from(loose_edges(240, [](std::int64_t v, int attempt) {
+    Motion m;
+    const double share = v / 2 % 4 < 2 ? 0 : v / 2 % 4 == 2 ? 1e-5 : 1;
+    for (std::size_t d = 0; d < 3; ++d) {
+      const std::uint64_t i = 3 * static_cast<std::uint64_t>(v) + d;
+      m.start[d] = 2 * uniform11(52, 10 + 100 * static_cast<std::uint64_t>(attempt), i);
+      m.end[d] = m.start[d] +
+                 share * (2 * uniform11(52, 11 + 100 * static_cast<std::uint64_t>(attempt), i) - m.start[d]);
+    }
+    return m;
+  }));
+}
+
+// 1100 short edges within the box of a middling one: more candidates than any fixed list holds. Others of its
+// size stand far away, so that it does not count as large.
+Problem crowded() {
+  constexpr std::int64_t short_ones = 1100, others = 1500;
+  return problem_from(loose_edges(1 + short_ones + others, [](std::int64_t v, int attempt) {
+    Motion m;
+    const std::int64_t edge = v / 2;
+    for (std::size_t d = 0; d < 3; ++d) {
+      const auto draw = [&](std::uint64_t stream, std::int64_t item) {
+        return uniform11(53, stream + 100 * static_cast<std::uint64_t>(attempt),
+                         3 * static_cast<std::uint64_t>(item) + d);
+      };
+      const double end = v % 2 == 0 ? -1 : 1;
+      if (edge == 0) {
+        m.start[d] = end + 0.01 * draw(1, v);
+      } else if (edge <= short_ones) {
+        m.start[d] = uniform11(53, 0, 3 * static_cast<std::uint64_t>(edge) + d) + 0.1 * draw(1, v);
+      } else {
+        const double place = d == 0   ? static_cast<double>(edge % 40)
+                             : d == 1 ? static_cast<double>(edge / 40 % 40)
+                                      : 3;
+        m.start[d] = 4 * place + 10 + end + 0.01 * draw(1, v);
+      }
+      m.end[d] = m.start[d] + 0.1 * draw(2, v);
+    }
+    return m;
+  }));
+}
+
 Problem static_sheets() {
   EdgeMesh mesh = cloth_sheets::edge_mesh(public_parameters(14));
   mesh.x0 = mesh.x1;  // in the middle of each other
@@ -430,6 +429,26 @@ std::vector<InputSet> hard_cases() {
       "tumbling_in_one_cell",
       "500 edges that turn over in one spot: all pairs overlap, up to three coplanar times",
       [] { return tumbling(500, 1.0, 51); }, {}, true));
+  sets.push_back(
+      exact_pairs_set("exact_pairs",
+                      "pairs whose answers are exact in float32: ends hit and just missed, contact at the "
+                      "start and at the end, angles down to 2^-19",
+                      1));
+  sets.push_back(exact_pairs_set("exact_small_pairs", "the same, 2^20 times smaller", 0x1p-20));
+  sets.push_back(hard(
+      "rods_in_the_corners", "rods that meet in the corners and on the faces of the scene",
+      rods_in_the_corners,
+      {known_times("closed_form", 0x1p-22, "they meet at half the way", [](std::int64_t) { return 0.5; })},
+      true));
+  sets.push_back(
+      hard("half_at_rest", "edges that turn over among others at rest or nearly so", half_at_rest, {}, true));
+  sets.push_back(hard("crowded", "an edge whose box overlaps those of 1100 others", crowded, {}, true));
+  sets.push_back(hard(
+      "large_scale", "edges that turn over, with coordinates up to 1e6 m",
+      [] { return tumbling(150, 983040, 54); }, {}, true));
+  sets.push_back(hard(
+      "small_scale", "edges that turn over within a micrometre", [] { return tumbling(150, 0x1p-20, 55); },
+      {}, true));
   sets.push_back(hard("long_edges", "six edges a hundred times as long as the other 1494 around them",
                       long_edges, {}, true));
   sets.push_back(hard("far_from_the_origin", "sheets at 1e4: positions resolve 1e-3, differences are exact",
@@ -441,8 +460,6 @@ std::vector<InputSet> hard_cases() {
 
 Task make_task() {
   Task task;
-  task.name = "ccd_ee";
-  task.family = "collision_query";
   task.title = "Continuous edge-edge collision detection in moving cloth";
   task.paper_number = 43;
   task.contract = describe<Inputs, Outputs<float>>();
@@ -451,7 +468,13 @@ Task make_task() {
   task.sets.push_back(sheets_set("public_smoke", SetKind::open, Size::smoke, public_parameters(53)));
   task.sets.push_back(sheets_set("hidden_smoke", SetKind::hidden, Size::smoke, hidden_parameters(47)));
   for (InputSet& set : hard_cases()) task.sets.push_back(std::move(set));
-  task.checks = {relative_l2_of_toi_minus_1(), local_error(), mismatched_events()};
+  task.checks = {
+      toi::minus_1_rel_l2(4e-6),
+      toi::local(1e-4,
+                 "inputs keep no event whose time float32 rounding, taken at sixteen units of the "
+                 "largest term of the cubic, could move by more than 5e-4; what is seen are one to two "
+                 "units"),
+      toi::mismatched_events()};
   task.unordered = {{"n", {"edges"}}, {"m", {}}};
   task.target_floor_multiple = 60;
   return task;
