@@ -7,7 +7,7 @@
 #include <cmath>
 #include <vector>
 
-#include "core/random.hpp"
+#include "core/generators/random.hpp"
 #include "tests/run_module.hpp"
 
 namespace gpuphys {

@@ -10,7 +10,7 @@
 #include <string>
 #include <vector>
 
-#include "core/random.hpp"
+#include "core/generators/random.hpp"
 #include "references/blocks/swept_pairs.cuh"
 
 namespace gpuphys::testing {

@@ -6,7 +6,7 @@
 #include <cmath>
 #include <vector>
 
-#include "core/random.hpp"
+#include "core/generators/random.hpp"
 #include "tests/run_module.hpp"
 #include "tests/time_loops/xpbd.hpp"
 

@@ -11,8 +11,7 @@
 
 #include "cases/collision_query/cloth_sheets_inputs.hpp"
 #include "cases/collision_query/toi_checks.hpp"
-#include "core/random.hpp"
-#include "core/task.hpp"
+#include "core/generators/random.hpp"
 
 namespace gpuphys::ccd_ee {
 namespace {

@@ -1,7 +1,7 @@
 // Contract of ccd_vf (specification: cases/collision_query/ccd_vf.md).
 #pragma once
 
-#include "core/contract.hpp"
+#include "core/contract/contract.hpp"
 
 namespace gpuphys::ccd_vf {
 

@@ -6,7 +6,7 @@
 #include <cmath>
 
 #include "cases/collision_query/toi_checks.hpp"
-#include "core/random.hpp"
+#include "core/generators/random.hpp"
 
 namespace gpuphys::ccd_vv {
 namespace {

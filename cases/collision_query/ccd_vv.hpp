@@ -1,7 +1,7 @@
 // Contract of ccd_vv (specification: cases/collision_query/ccd_vv.md).
 #pragma once
 
-#include "core/contract.hpp"
+#include "core/contract/contract.hpp"
 
 namespace gpuphys::ccd_vv {
 

@@ -7,9 +7,9 @@
 #include <numbers>
 #include <numeric>
 
-#include "core/error.hpp"
-#include "core/parallel.hpp"
-#include "core/random.hpp"
+#include "core/base/error.hpp"
+#include "core/base/parallel.hpp"
+#include "core/generators/random.hpp"
 
 namespace gpuphys::cloth_sheets {
 namespace {

@@ -5,8 +5,8 @@
 #include <cmath>
 #include <utility>
 
-#include "core/comparators.hpp"
-#include "core/random.hpp"
+#include "core/judge/comparators.hpp"
+#include "core/generators/random.hpp"
 
 namespace gpuphys::toi {
 

@@ -8,7 +8,7 @@
 
 #include "cases/collision_query/cloth_sheets_inputs.hpp"
 #include "core/judge/checks.hpp"
-#include "core/task.hpp"
+#include "core/contract/task.hpp"
 
 namespace gpuphys::toi {
 

@@ -8,7 +8,7 @@
 
 #include "cases/position_constraint/contact_inputs.hpp"
 #include "cases/position_constraint/spring_inputs.hpp"
-#include "core/random.hpp"
+#include "core/generators/random.hpp"
 
 namespace gpuphys::self_collision_xpbd {
 namespace {

@@ -1,7 +1,7 @@
 // Contract of self_collision_xpbd (specification: cases/position_constraint/self_collision_xpbd.md).
 #pragma once
 
-#include "core/contract.hpp"
+#include "core/contract/contract.hpp"
 
 namespace gpuphys::self_collision_xpbd {
 

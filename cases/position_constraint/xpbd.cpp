@@ -9,8 +9,8 @@
 #include "cases/position_constraint/cloth_inputs.hpp"
 #include "cases/position_constraint/contact_inputs.hpp"
 #include "cases/position_constraint/spring_inputs.hpp"
-#include "core/error.hpp"
-#include "core/random.hpp"
+#include "core/base/error.hpp"
+#include "core/generators/random.hpp"
 
 namespace gpuphys::xpbd {
 namespace {

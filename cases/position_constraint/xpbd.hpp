@@ -1,7 +1,7 @@
 // Contract of xpbd (specification: cases/position_constraint/xpbd.md).
 #pragma once
 
-#include "core/contract.hpp"
+#include "core/contract/contract.hpp"
 
 namespace gpuphys::xpbd {
 

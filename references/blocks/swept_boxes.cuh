@@ -24,7 +24,7 @@
 
 #include <cstdint>
 
-#include "core/module.hpp"
+#include "core/contract/module.hpp"
 
 namespace gpuphys::collision {
 

@@ -9,7 +9,7 @@
 // What bounds it: at this size everything is in L2; launches, the random sectors of the sort, and the
 // instructions of the pairs (about 30 x 25 for a piece that is bisected).
 #include "cases/collision_query/ccd_ve.hpp"
-#include "core/module.hpp"
+#include "core/contract/module.hpp"
 #include "references/blocks/swept_pairs.cuh"
 #include "references/collision_query/cubic_toi.cuh"
 

@@ -8,7 +8,7 @@
 // What bounds it: the random sectors of the sort (a triangle gathers three vertices, twice), then L1 and
 // instructions of the walk and of the pairs.
 #include "cases/collision_query/ccd_vf.hpp"
-#include "core/module.hpp"
+#include "core/contract/module.hpp"
 #include "references/blocks/swept_pairs.cuh"
 #include "references/collision_query/cubic_toi.cuh"
 

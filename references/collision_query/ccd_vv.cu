@@ -10,7 +10,7 @@
 // reads 251 MB and some six records a vertex out of L1. Boxes sort out all but one pair in a few, so that the
 // quadratic equation is solved rarely.
 #include "cases/collision_query/ccd_vv.hpp"
-#include "core/module.hpp"
+#include "core/contract/module.hpp"
 #include "references/blocks/swept_pairs.cuh"
 #include "references/collision_query/cubic_toi.cuh"
 

@@ -14,7 +14,7 @@
 #include <stdexcept>
 #include <utility>
 
-#include "core/module.hpp"
+#include "core/contract/module.hpp"
 #include "references/blocks/contact_rows.cuh"
 
 namespace gpuphys::self_collision_xpbd {

@@ -19,7 +19,7 @@
 #include <stdexcept>
 #include <utility>
 
-#include "core/module.hpp"
+#include "core/contract/module.hpp"
 #include "references/blocks/contact_rows.cuh"
 #include "references/position_constraint/spatial_order.cuh"
 #include "references/position_constraint/spring_projection.cuh"

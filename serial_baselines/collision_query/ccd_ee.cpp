@@ -5,7 +5,7 @@
 #include <vector>
 
 #include "cases/collision_query/ccd_ee.hpp"
-#include "core/module.hpp"
+#include "core/contract/module.hpp"
 #include "serial_baselines/collision_query/coplanarity.hpp"
 #include "serial_baselines/collision_query/swept_cells.hpp"
 

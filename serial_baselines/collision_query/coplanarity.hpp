@@ -6,7 +6,7 @@
 #include <cmath>
 #include <cstdint>
 
-#include "core/view.hpp"
+#include "core/contract/view.hpp"
 
 namespace gpuphys::serial {
 

@@ -8,7 +8,7 @@
 #include <array>
 #include <vector>
 
-#include "core/module.hpp"
+#include "core/contract/module.hpp"
 #include "serial_baselines/position_constraint/contact_list.hpp"
 
 namespace gpuphys::self_collision_xpbd {

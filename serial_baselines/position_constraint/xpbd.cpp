@@ -10,7 +10,7 @@
 #include <cmath>
 #include <vector>
 
-#include "core/module.hpp"
+#include "core/contract/module.hpp"
 #include "serial_baselines/position_constraint/contact_list.hpp"
 
 namespace gpuphys::xpbd {
