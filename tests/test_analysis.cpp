@@ -1,6 +1,6 @@
 // What the results mean, on results made up for the purpose: windows, kill matrix, proposed tolerances, and
 // that no survivor, crash, skip or missing result disappears in a total.
-#include "core/analysis.hpp"
+#include "core/report/analysis.hpp"
 
 #include <gtest/gtest.h>
 

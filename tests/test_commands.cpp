@@ -8,13 +8,13 @@
 #include <filesystem>
 #include <memory>
 
+#include "core/base/files.hpp"
+#include "core/contract/hdf5_io.hpp"
+#include "core/contract/task.hpp"
 #include "core/driver/inventory.hpp"
-#include "core/files.hpp"
-#include "core/hdf5_io.hpp"
-#include "core/judge.hpp"
-#include "core/results.hpp"
-#include "core/source_digest.hpp"
-#include "core/task.hpp"
+#include "core/judge/judge.hpp"
+#include "core/records/results.hpp"
+#include "core/records/source_digest.hpp"
 
 namespace gpuphys {
 namespace {

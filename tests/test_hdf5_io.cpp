@@ -1,6 +1,6 @@
 // HDF5 files: what is written comes back, files by other writers are read, and every way in which a file can
 // be wrong gives one clear error.
-#include "core/hdf5_io.hpp"
+#include "core/contract/hdf5_io.hpp"
 
 #include <gtest/gtest.h>
 #include <hdf5.h>
@@ -14,7 +14,7 @@
 #include <numeric>
 #include <string>
 
-#include "core/files.hpp"
+#include "core/base/files.hpp"
 
 // HDF5 1.10 leaks on its own error paths when it meets a damaged file; leaks of ours are still reported.
 extern "C" const char* __lsan_default_suppressions() {

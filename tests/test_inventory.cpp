@@ -6,10 +6,10 @@
 #include <set>
 #include <string>
 
+#include "core/base/files.hpp"
+#include "core/contract/task.hpp"
 #include "core/driver/inventory.hpp"
-#include "core/files.hpp"
-#include "core/judge.hpp"
-#include "core/task.hpp"
+#include "core/judge/judge.hpp"
 
 namespace gpuphys {
 namespace {

@@ -1,12 +1,12 @@
 // Result files: what is written comes back, nothing unreadable is passed over, live results win over records.
-#include "core/results.hpp"
+#include "core/records/results.hpp"
 
 #include <gtest/gtest.h>
 
 #include <cmath>
 #include <filesystem>
 
-#include "core/files.hpp"
+#include "core/base/files.hpp"
 
 namespace gpuphys {
 namespace {

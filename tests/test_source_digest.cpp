@@ -1,5 +1,5 @@
 // The source digest: what changes it, what does not, and that it follows every include.
-#include "core/source_digest.hpp"
+#include "core/records/source_digest.hpp"
 
 #include <gtest/gtest.h>
 
@@ -10,7 +10,7 @@
 #include <memory>
 #include <sstream>
 
-#include "core/files.hpp"
+#include "core/base/files.hpp"
 
 namespace gpuphys {
 namespace {

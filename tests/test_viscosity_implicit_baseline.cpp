@@ -7,7 +7,7 @@
 #include <numbers>
 #include <utility>
 
-#include "core/random.hpp"
+#include "core/generators/random.hpp"
 #include "serial_baselines/global_solve/box_multigrid.hpp"
 #include "tests/mac_fluid.hpp"
 

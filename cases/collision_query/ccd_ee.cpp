@@ -10,9 +10,9 @@
 #include <memory>
 
 #include "cases/collision_query/cloth_sheets_inputs.hpp"
-#include "core/comparators.hpp"
-#include "core/random.hpp"
-#include "core/task.hpp"
+#include "core/contract/task.hpp"
+#include "core/generators/random.hpp"
+#include "core/judge/comparators.hpp"
 
 namespace gpuphys::ccd_ee {
 namespace {

@@ -4,7 +4,7 @@
 // cases/grid_lattice/mac_advection.hpp; w holds the open fraction of each of these faces.
 #pragma once
 
-#include "core/contract.hpp"
+#include "core/contract/contract.hpp"
 
 namespace gpuphys::mac_fluid {
 

@@ -8,8 +8,8 @@
 #include <numbers>
 
 #include "core/generators/cut_cell_cylinder.hpp"
-#include "core/parallel.hpp"
-#include "core/random.hpp"
+#include "core/base/parallel.hpp"
+#include "core/generators/random.hpp"
 
 namespace gpuphys::mac_fluid {
 namespace {

@@ -10,7 +10,7 @@
 
 #include "cases/global_solve/mac_fluid.hpp"
 #include "core/judge/checks.hpp"
-#include "core/task.hpp"
+#include "core/contract/task.hpp"
 
 namespace gpuphys::mac_fluid {
 

@@ -12,9 +12,9 @@
 #include "cases/grid_lattice/drops.hpp"
 #include "core/generators/abc_flow.hpp"
 #include "core/judge/checks.hpp"
-#include "core/parallel.hpp"
-#include "core/random.hpp"
-#include "core/task.hpp"
+#include "core/base/parallel.hpp"
+#include "core/generators/random.hpp"
+#include "core/contract/task.hpp"
 
 namespace gpuphys::cahn_hilliard {
 namespace {

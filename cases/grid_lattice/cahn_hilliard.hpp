@@ -1,7 +1,7 @@
 // Contract of cahn_hilliard (specification: cases/grid_lattice/cahn_hilliard.md).
 #pragma once
 
-#include "core/contract.hpp"
+#include "core/contract/contract.hpp"
 
 namespace gpuphys::cahn_hilliard {
 

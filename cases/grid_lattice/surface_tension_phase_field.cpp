@@ -11,7 +11,7 @@
 
 #include "cases/grid_lattice/drops.hpp"
 #include "cases/grid_lattice/force_checks.hpp"
-#include "core/task.hpp"
+#include "core/contract/task.hpp"
 
 namespace gpuphys::surface_tension_phase_field {
 namespace {

@@ -11,9 +11,9 @@
 
 #include "cases/grid_lattice/force_checks.hpp"
 #include "cases/grid_lattice/lattice_inputs.hpp"
-#include "core/parallel.hpp"
-#include "core/random.hpp"
-#include "core/task.hpp"
+#include "core/base/parallel.hpp"
+#include "core/generators/random.hpp"
+#include "core/contract/task.hpp"
 
 namespace gpuphys::surface_tension_sdf {
 namespace {

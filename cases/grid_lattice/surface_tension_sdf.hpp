@@ -1,7 +1,7 @@
 // Contract of surface_tension_sdf (specification: cases/grid_lattice/surface_tension_sdf.md).
 #pragma once
 
-#include "core/contract.hpp"
+#include "core/contract/contract.hpp"
 
 namespace gpuphys::surface_tension_sdf {
 

@@ -2,14 +2,23 @@
 #include <fmt/format.h>
 
 #include <CLI/CLI.hpp>
+#include <cerrno>
+#include <charconv>
+#include <cmath>
 #include <cstdio>
 #include <cstdlib>
+#include <cstring>
 #include <filesystem>
 #include <new>
+#include <system_error>
 
+#include "core/base/files.hpp"
+#include "core/base/sha256.hpp"
+#include "core/base/text.hpp"
+#include "core/base/version.hpp"
 #include "core/driver/context.hpp"
-#include "core/judge.hpp"
-#include "core/version.hpp"
+#include "core/judge/judge.hpp"
+#include "core/records/results_json.hpp"
 
 namespace gpuphys {
 
@@ -31,7 +40,48 @@ std::string Context::module_path(const std::string& task, const std::string& nam
                                                   task, folder.string(), built.empty() ? " none" : built));
 }
 
+Workplace Context::workplace(double baseline_timeout_s) const {
+  return {store_root, runner_options(baseline_timeout_s), modules_root};
+}
+
+RunnerOptions Context::runner_options(double timeout_s) const {
+  return {.program = runner, .timeout_s = timeout_s, .under_tool = false, .build_root = build_root};
+}
+
+ModuleStamp Context::stamp_of(const std::string& module_path) const {
+  const std::string path = std::filesystem::path(module_path).replace_extension(".stamp.json").string();
+  if (!std::filesystem::exists(path)) return {};
+  const auto j = parse_json_file(path);
+  // A module that was replaced after the build is not what the stamp speaks of.
+  if (json_text(j, "sha256", path) != sha256_hex(read_file(module_path))) return {};
+  return stamp_from(j, path);
+}
+
+std::map<std::string, double> parse_scalars(const std::vector<std::string>& assignments) {
+  std::map<std::string, double> values;
+  for (const std::string& assignment : assignments) {
+    const std::size_t equals = assignment.find('=');
+    const std::string text = equals == std::string::npos ? "" : assignment.substr(equals + 1);
+    double value = 0;
+    const auto [end, error] = std::from_chars(text.data(), text.data() + text.size(), value);
+    if (text.empty() || error != std::errc() || end != text.data() + text.size() || !std::isfinite(value)) {
+      throw Error(ExitCode::usage,
+                  fmt::format("--scalar wants NAME=NUMBER, not '{}'", printable(assignment)));
+    }
+    values[assignment.substr(0, equals)] = value;
+  }
+  return values;
+}
+
 namespace {
+
+int lost_output(const std::string& why) {
+  try {
+    fmt::print(stderr, "gpuphys: standard output cannot be written: {}\n", why);
+  } catch (const std::system_error&) {
+  }
+  return static_cast<int>(ExitCode::output_lost);
+}
 
 int run(int argc, char** argv) {
   CLI::App app{"Regression and tolerance validation for the GPUPhysBench tasks."};
@@ -54,11 +104,14 @@ int run(int argc, char** argv) {
   ctx.source_root = from_environment("GPUPHYS_SOURCE_DIR", GPUPHYS_SOURCE_DIR);
   ctx.modules_root = build + "/modules";
   ctx.results_root = build + "/results";
-  ctx.truth_root = build + "/truth";
+  ctx.build_root = build;
+  ctx.store_root = build + "/store";
+  ctx.runner = from_environment("GPUPHYS_RUNNER", (build + "/gpuphys-runner").c_str());
   app.add_option("--results", ctx.results_root, "Folder of results")->capture_default_str();
   app.add_option("--modules", ctx.modules_root, "Folder of the modules built with the suite")
       ->capture_default_str();
-  app.add_option("--truth", ctx.truth_root, "Folder in which FP64 truths are kept")->capture_default_str();
+  app.add_option("--store", ctx.store_root, "Folder of made inputs and truths that memory has no room for")
+      ->capture_default_str();
   app.fallthrough();
 
   add_list_command(app, ctx);
@@ -74,13 +127,15 @@ int run(int argc, char** argv) {
   add_check_records_command(app, ctx);
   add_trivial_command(app, ctx);
   add_ctest_file_command(app, ctx);
+  add_prepare_command(app, ctx);
+  add_store_command(app, ctx);
 
   try {
     app.parse(argc, argv);
   } catch (const CLI::ParseError& e) {
     return app.exit(e) == 0 ? 0 : static_cast<int>(ExitCode::usage);
   } catch (const Error& e) {
-    fmt::print(stderr, "gpuphys: {}\n", e.what());
+    fmt::print(stderr, "gpuphys: {}\n", printable(e.what(), 2000));
     if (e.code() == ExitCode::skipped && std::getenv("GPUPHYS_REQUIRE_GPU") != nullptr) {
       fmt::print(stderr, "gpuphys: GPUPHYS_REQUIRE_GPU is set: a missing GPU is a failure\n");
       return static_cast<int>(ExitCode::cuda_error);
@@ -89,10 +144,14 @@ int run(int argc, char** argv) {
   } catch (const std::bad_alloc&) {
     fmt::print(stderr, "gpuphys: out of host memory\n");
     return static_cast<int>(ExitCode::out_of_memory);
+  } catch (const std::system_error& e) {  // fmt throws it when a line cannot be written
+    return lost_output(e.what());
   } catch (const std::exception& e) {
     fmt::print(stderr, "gpuphys: internal error: {}\n", e.what());
     return static_cast<int>(ExitCode::internal);
   }
+  // A verdict that nobody could read is none.
+  if (std::fflush(stdout) != 0 || std::ferror(stdout) != 0) return lost_output(std::strerror(errno));
   return static_cast<int>(ctx.exit_code);
 }
 

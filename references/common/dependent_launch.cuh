@@ -15,7 +15,7 @@
 
 #include <cstddef>
 
-#include "core/module.hpp"
+#include "core/contract/module.hpp"
 
 namespace gpuphys {
 

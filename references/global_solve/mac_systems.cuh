@@ -16,7 +16,7 @@
 #include <cstdint>
 #include <type_traits>
 
-#include "core/module.hpp"
+#include "core/contract/module.hpp"
 #include "references/common/device_buffer.cuh"
 #include "references/global_solve/multigrid_solver.cuh"
 

@@ -15,7 +15,7 @@
 #include <stdexcept>
 #include <type_traits>
 
-#include "core/module.hpp"
+#include "core/contract/module.hpp"
 
 namespace gpuphys::lbm {
 

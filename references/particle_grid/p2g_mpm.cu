@@ -4,7 +4,7 @@
 // corotated elasticity; 0 where no mass arrives.
 //
 // Passes over data in random order:
-//   mark, count, plan, assign   (particle_binning.cuh) a slot of its tile's list, of 4^3 cells, for each
+//   mark, count, plan, assign   (particle_tiles.cuh) a slot of its tile's list, of 4^3 cells, for each
 //              particle; lists cut into pieces, node blocks cleared
 //   place      a thread a particle: stress from F; the packed record {offset 3, v 3, tau 6, padding 4}
 //              goes to its slot, written by four lanes at once
@@ -33,19 +33,19 @@
 #include <algorithm>
 
 #include "cases/particle_grid/p2g_mpm.hpp"
+#include "references/blocks/particle_tiles.cuh"
+#include "references/blocks/tile_sums.cuh"
 #include "references/common/alignment.hpp"
 #include "references/common/quadratic_bspline.cuh"
+#include "references/common/warp_rows.cuh"
 #include "references/particle_grid/fixed_corotated.cuh"
-#include "references/particle_grid/particle_binning.cuh"
 
 namespace gpuphys::p2g_mpm {
 namespace {
 
-using particle_grid::BinningView;
-using particle_grid::kTileNodes;
-using particle_grid::kTileSide;
-using particle_grid::TileGrid;
-using particle_grid::WorkItem;
+using tiles::BinningView;
+using tiles::TileGrid;
+using tiles::WorkItem;
 
 struct Policy {
   static constexpr int mark_threads = 256;
@@ -73,7 +73,9 @@ struct Policy {
   static constexpr int normalise_threads = 256;
 };
 
-constexpr int kReach = 3;                                  // nodes a particle reaches along an axis
+constexpr int kTileSide = 4, kTileNodes = kTileSide * kTileSide * kTileSide;
+using Tiling = tiles::Tiling<kTileSide, kTileSide, kTileSide, 2, false>;
+constexpr int kReach = Tiling::reach;                      // nodes a particle reaches along an axis
 constexpr int kSide = kTileSide + kReach - 1;              // nodes of a tile with its halo
 constexpr int kCells = kTileSide * kTileSide * kTileSide;  // of a tile
 constexpr int kScatterThreads = kCells;
@@ -93,39 +95,6 @@ struct Moduli {
   float two_mu, lambda;
 };
 
-// Rows of Width floats, one for each thread of the warp, from memory in whole lines to registers.
-template <int Width>
-__device__ __forceinline__ void load_rows(const float* __restrict__ rows, std::int64_t first, std::int64_t n,
-                                          float (&in_flight)[Width]) {
-  const int lane = static_cast<int>(threadIdx.x) % 32;
-  const float* from = rows + Width * first + lane;
-  if (first + 32 <= n) {
-#pragma unroll
-    for (int s = 0; s < Width; ++s) in_flight[s] = __ldcs(from + s * 32);
-  } else {
-    const std::int64_t left = Width * (n - first) - lane;
-#pragma unroll
-    for (int s = 0; s < Width; ++s) in_flight[s] = s * 32 < left ? __ldcs(from + s * 32) : 0.0f;
-  }
-}
-
-// The rows to shared memory: the lane's own begins at stage[lane * Width], from the next __syncwarp() on.
-template <int Width>
-__device__ __forceinline__ void stage_rows(float* __restrict__ stage, const float (&in_flight)[Width]) {
-  const int lane = static_cast<int>(threadIdx.x) % 32;
-#pragma unroll
-  for (int s = 0; s < Width; ++s) stage[s * 32 + lane] = in_flight[s];
-}
-
-template <int Width>
-__device__ __forceinline__ void transpose_rows(float* __restrict__ stage, float (&values)[Width]) {
-  const int lane = static_cast<int>(threadIdx.x) % 32;
-  stage_rows(stage, values);
-  __syncwarp();
-#pragma unroll
-  for (int s = 0; s < Width; ++s) values[s] = stage[lane * Width + s];
-}
-
 __global__ void __launch_bounds__(Policy::place_threads, Policy::place_blocks_per_sm)
     place(const __grid_constant__ TileGrid grid, const __grid_constant__ Particles particles, Moduli moduli,
           const int* __restrict__ slots, int* __restrict__ next, float4* __restrict__ records) {
@@ -136,14 +105,14 @@ __global__ void __launch_bounds__(Policy::place_threads, Policy::place_blocks_pe
   const int lane = static_cast<int>(threadIdx.x) % 32;
   const std::int64_t p = static_cast<std::int64_t>(blockIdx.x) * Policy::place_threads + threadIdx.x;
   const std::int64_t first = p - lane;
-  int slot = p < particles.n ? __ldcs(slots + p) : particle_grid::kNoSlot;
+  int slot = p < particles.n ? __ldcs(slots + p) : tiles::kNoSlot;
   float x[3], v[3], f[9];
   load_rows(particles.x, first, particles.n, x);
   load_rows(particles.v, first, particles.n, v);
   load_rows(particles.f, first, particles.n, f);
   transpose_rows(stage, x);
-  const particle_grid::Place at = particle_grid::locate(grid, x[0], x[1], x[2]);
-  const int tile = particle_grid::listed_tile(at, p, particles.n);
+  const tiles::Place at = tiles::locate<Tiling>(grid, x[0], x[1], x[2]);
+  const int tile = tiles::listed_tile(at, p, particles.n);
   // Rare: nothing waits for the answer until the record is written.
   if (slot < 0 && tile >= 0) slot = atomicAdd(next + tile, 1);
     // What the stress does not need waits in the lane's own rows: registers decide how many warps are
@@ -204,9 +173,7 @@ struct ScatterShared {
   float4 sums[kRows * kRowNodes];
   float4 carry[2][kRowNodes * kHalo];  // highest nodes along z, for the next piece; in turns
   Runs runs;
-  int counts[kCells];
-  int starts[kCells + 1];
-  unsigned short order[Policy::piece + 1];  // and one that is read, not used
+  tiles::CellOrder<kCells, Policy::piece> cells;
 };
 
 // Sums of one thread: the 27 nodes of its cell, {mass, momentum}, mass in units of a particle's. While
@@ -321,55 +288,13 @@ __device__ __forceinline__ void fetch(ScatterShared& shared, const float4* __res
   __pipeline_commit();
 }
 
-// Sorts the piece's records by cell: order[starts[cell] ..) lists them.
+// Sorts the piece's records by cell.
 __device__ __forceinline__ void sort_by_cell(ScatterShared& shared, int count) {
-  const int thread = static_cast<int>(threadIdx.x);
-  // Straight through, whether or not there is a record: branches would have each round wait for the last.
-  int cells[kRounds], ranks[kRounds] = {};
-#pragma unroll
-  for (int s = 0; s < kRounds; ++s) {
-    int p = thread + s * kScatterThreads;
-    if ((s + 1) * kScatterThreads > Policy::piece) p = min(p, Policy::piece - 1);
+  tiles::sort_by_cell<kScatterThreads>(shared.cells, count, [&](int p) {
     const float4 a = shared.list[kRecord * p];
-    cells[s] = (particle_grid::cell_of(a.x) * kTileSide + particle_grid::cell_of(a.y)) * kTileSide +
-               particle_grid::cell_of(a.z);
-  }
-#pragma unroll
-  for (int s = 0; s < kRounds; ++s) {
-    if (thread + s * kScatterThreads < count) ranks[s] = atomicAdd(&shared.counts[cells[s]], 1);
-  }
-  __syncthreads();
-  if (thread < 32) {
-    const int low = shared.counts[2 * thread], high = shared.counts[2 * thread + 1];
-    int sum = low + high;
-#pragma unroll
-    for (int step = 1; step < 32; step *= 2) {
-      const int below = __shfl_up_sync(0xffffffffu, sum, static_cast<unsigned>(step));
-      if (thread >= step) sum += below;
-    }
-    shared.starts[2 * thread] = sum - low - high;
-    shared.starts[2 * thread + 1] = sum - high;
-    if (thread == 31) shared.starts[kCells] = sum;
-  }
-  __syncthreads();
-#pragma unroll
-  for (int s = 0; s < kRounds; ++s) cells[s] = shared.starts[cells[s]];
-#pragma unroll
-  for (int s = 0; s < kRounds; ++s) {
-    const int p = thread + s * kScatterThreads;
-    if (p < count) shared.order[cells[s] + ranks[s]] = static_cast<unsigned short>(p);
-  }
-  __syncthreads();
-}
-
-// Adds up four cells side by side along an axis, `Lanes` apart: `low` becomes the cell's lowest node, in
-// full; in the last of the cells, so do `middle` and `high`.
-template <int Lanes>
-__device__ __forceinline__ void add_along(int cell, float& low, float& middle, float& high) {
-  const float high_below = __shfl_up_sync(0xffffffffu, high, Lanes);
-  if (cell > 0) middle += high_below;
-  const float middle_below = __shfl_up_sync(0xffffffffu, middle, Lanes);
-  if (cell > 0) low += middle_below;
+    return (tiles::cell_of<Tiling>(0, a.x) * kTileSide + tiles::cell_of<Tiling>(1, a.y)) * kTileSide +
+           tiles::cell_of<Tiling>(2, a.z);
+  });
 }
 
 // Adds up the cells of each y-z-plane of the tile and leaves their nodes in shared memory. Along y cells are
@@ -382,10 +307,10 @@ __device__ __forceinline__ void store_rows(ScatterShared& shared, Sums& sums, in
     for (int q = 0; q < 4; ++q) {
 #pragma unroll
       for (int oy = 0; oy < kReach; ++oy)
-        add_along<8>(cell_z, sums.s[ox][oy][0][q], sums.s[ox][oy][1][q], sums.s[ox][oy][2][q]);
+        tiles::add_along<8>(cell_z > 0, sums.s[ox][oy][0][q], sums.s[ox][oy][1][q], sums.s[ox][oy][2][q]);
 #pragma unroll
       for (int oz = 0; oz < kReach; ++oz)
-        add_along<1>(cell_y, sums.s[ox][0][oz][q], sums.s[ox][1][oz][q], sums.s[ox][2][oz][q]);
+        tiles::add_along<1>(cell_y > 0, sums.s[ox][0][oz][q], sums.s[ox][1][oz][q], sums.s[ox][2][oz][q]);
     }
     float4* nodes = shared.sums + (ox * kTileSide + cell_x) * kRowNodes + cell_y * kSide + cell_z;
 #pragma unroll
@@ -455,7 +380,7 @@ __device__ __forceinline__ void flush_nodes(ScatterShared& shared, const TileGri
     if (block_x >= grid.tiles[0] || block_y >= grid.tiles[1] || block_z >= grid.tiles[2]) continue;
     const auto block = static_cast<unsigned>(grid.tile(block_x, block_y, block_z));
     const unsigned local = (x % kTileSide * kTileSide + y % kTileSide) * kTileSide + z % kTileSide;
-    particle_grid::reduce_add(accumulators + (static_cast<std::size_t>(block) * kTileNodes + local), sum);
+    reduce_add(accumulators + (static_cast<std::size_t>(block) * kTileNodes + local), sum);
   }
 }
 
@@ -514,7 +439,7 @@ __global__ void __launch_bounds__(kScatterThreads, Policy::scatter_blocks_per_sm
   int count = i < n_items ? items[i].count : 0;
   if (i < n_items) fetch(shared, records, items[i].first, count);
   while (i < n_items) {
-    shared.counts[thread] = 0;
+    shared.cells.counts[thread] = 0;
     int next = i + 1;
     if (next == shared.runs.begin(run + 1)) {
       run += step;
@@ -530,17 +455,17 @@ __global__ void __launch_bounds__(kScatterThreads, Policy::scatter_blocks_per_sm
     sort_by_cell(shared, count);
 
     Sums sums{};
-    const int last = shared.starts[cell + 1];
+    const int last = shared.cells.starts[cell + 1];
     // Volatile, so that the next number is on its way while a record is added, not asked for when it is
     // needed.
-    const volatile unsigned short* order = shared.order;
-    int q = shared.starts[cell], at = order[q];
+    const volatile unsigned short* order = shared.cells.order;
+    int q = shared.cells.starts[cell], at = order[q];
     while (q < last) {
       const float4* record = shared.list + kRecord * at;
       at = order[++q];
       add_particle(sums, centre, record[0], record[1], record[2]);
     }
-    sums.s[1][1][1][0] = static_cast<float>(last - shared.starts[cell]);
+    sums.s[1][1][1][0] = static_cast<float>(last - shared.cells.starts[cell]);
     const int4 tile = items[i].tile;
     __syncthreads();  // the list is read, and the sums before
     fetch(shared, records, next_first, next_count);
@@ -598,7 +523,7 @@ class Reference {
     GPUPHYS_CUDA(cudaDeviceGetAttribute(&processors, cudaDevAttrMultiProcessorCount, device));
     GPUPHYS_CUDA(cudaDeviceGetAttribute(&shared, cudaDevAttrMaxSharedMemoryPerBlockOptin, device));
     shared = std::min(shared, Policy::count_shared) - 1024;  // for what the kernel declares by itself
-    bins_ = particle_grid::Binning(grid, n, Policy::piece, static_cast<std::size_t>(shared), processors);
+    bins_ = tiles::Binning(grid, n, Policy::piece, static_cast<std::size_t>(shared), processors);
     GPUPHYS_CUDA(cudaFuncSetAttribute(count, cudaFuncAttributeMaxDynamicSharedMemorySize, shared));
     GPUPHYS_CUDA(cudaFuncSetAttribute(assign, cudaFuncAttributeMaxDynamicSharedMemorySize, shared));
     records_ = DeviceBuffer<float4>(static_cast<std::size_t>(kStride * n));
@@ -624,8 +549,7 @@ class Reference {
     const auto parts = static_cast<unsigned>(bins.parts);
     mark<<<blocks(n, Policy::mark_threads * Policy::mark_stride), Policy::mark_threads>>>(grid, bins,
                                                                                           in.x.data, n);
-    count<<<parts, Policy::count_threads, particle_grid::count_shared_bytes(bins)>>>(grid, bins, in.x.data,
-                                                                                     n);
+    count<<<parts, Policy::count_threads, tiles::count_shared_bytes(bins)>>>(grid, bins, in.x.data, n);
     plan<<<blocks(grid.tile_count(), Policy::plan_threads), Policy::plan_threads>>>(grid, bins, Policy::piece,
                                                                                     accumulators_.get());
     assign<<<parts, Policy::count_threads, sizeof(int) * static_cast<std::size_t>(bins.indexed)>>>(bins, n);
@@ -642,16 +566,16 @@ class Reference {
   }
 
  private:
-  static constexpr auto mark = particle_grid::mark_tiles<Policy::mark_threads, Policy::mark_stride>;
-  static constexpr auto count = particle_grid::count_particles<Policy::count_threads>;
-  static constexpr auto plan = particle_grid::plan_tiles<Policy::plan_threads>;
-  static constexpr auto assign = particle_grid::assign_slots<Policy::count_threads>;
+  static constexpr auto mark = tiles::mark_tiles<Tiling, Policy::mark_threads, Policy::mark_stride>;
+  static constexpr auto count = tiles::count_particles<Tiling, Policy::count_threads>;
+  static constexpr auto plan = tiles::plan_tiles<Tiling, Policy::plan_threads, kTileNodes>;
+  static constexpr auto assign = tiles::assign_slots<Policy::count_threads>;
 
   static TileGrid grid_of(const Inputs& in, const Outputs<float>& out) {
-    return particle_grid::make_tile_grid(out.ux.shape[0], out.ux.shape[1], out.ux.shape[2], in.dx);
+    return tiles::make_tile_grid<Tiling>(out.ux.shape[0], out.ux.shape[1], out.ux.shape[2], in.dx);
   }
 
-  particle_grid::Binning bins_;
+  tiles::Binning bins_;
   DeviceBuffer<float4> records_, accumulators_;
   int scatter_blocks_ = 0;
 };

@@ -6,8 +6,8 @@
 #include <cstdint>
 #include <vector>
 
-#include "core/parallel.hpp"
-#include "core/view.hpp"
+#include "core/base/parallel.hpp"
+#include "core/contract/view.hpp"
 #include "serial_baselines/global_solve/box_multigrid.hpp"
 
 namespace gpuphys::serial {

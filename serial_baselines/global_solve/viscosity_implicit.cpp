@@ -2,7 +2,7 @@
 // as FP64 truth and as FP32 variants (Real).
 #include "cases/global_solve/viscosity_implicit.hpp"
 
-#include "core/module.hpp"
+#include "core/contract/module.hpp"
 #include "serial_baselines/global_solve/mac_fluid.hpp"
 
 namespace gpuphys::viscosity_implicit {

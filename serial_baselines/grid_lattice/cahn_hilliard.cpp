@@ -5,7 +5,7 @@
 
 #include <vector>
 
-#include "core/module.hpp"
+#include "core/contract/module.hpp"
 #include "serial_baselines/grid_lattice/periodic_stencil.hpp"
 
 namespace gpuphys::cahn_hilliard {

@@ -3,7 +3,7 @@
 // Built as FP64 truth and as FP32 variants (Real).
 #include "cases/grid_lattice/surface_tension_phase_field.hpp"
 
-#include "core/module.hpp"
+#include "core/contract/module.hpp"
 #include "serial_baselines/grid_lattice/periodic_stencil.hpp"
 
 namespace gpuphys::surface_tension_phase_field {

@@ -8,7 +8,7 @@
 #include <cmath>
 #include <numbers>
 
-#include "core/module.hpp"
+#include "core/contract/module.hpp"
 
 namespace gpuphys::surface_tension_sdf {
 
