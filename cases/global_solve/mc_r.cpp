@@ -7,7 +7,7 @@
 #include <cmath>
 
 #include "cases/global_solve/mac_fluid_inputs.hpp"
-#include "core/task.hpp"
+#include "core/contract/task.hpp"
 
 namespace gpuphys::mc_r {
 namespace {

@@ -3,7 +3,7 @@
 // (references/grid_lattice/mac_advection.cuh); what is added is the mask at every store.
 #pragma once
 
-#include "core/module.hpp"
+#include "core/contract/module.hpp"
 #include "references/common/device_buffer.cuh"
 #include "references/grid_lattice/mac_advection.cuh"
 

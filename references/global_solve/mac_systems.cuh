@@ -22,7 +22,11 @@
 
 namespace gpuphys::mac_systems {
 
-constexpr int kThreads = 256;
+#ifdef GPUPHYS_OTHER_BLOCKS
+constexpr int kThreads = 96;
+#else
+constexpr int kThreads = 256;  // per block
+#endif
 
 /// Arrays of a MAC grid: component c has one face more along axis c than there are cells.
 struct Grid {

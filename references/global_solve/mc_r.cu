@@ -8,6 +8,9 @@
 //
 // What bounds it: the marches, by L1 (1.34 ms per advection at paper size), and the fine-grid passes of the
 // two solves, some four cycles each. The host waits once per cycle, to decide whether another one is needed.
+//
+// GPUPHYS_OTHER_BLOCKS chooses other tiles for the marches and other blocks for the kernels around the
+// multigrid.
 #include "cases/global_solve/mc_r.hpp"
 
 #include "references/blocks/closed_advection.cuh"

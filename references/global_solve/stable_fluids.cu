@@ -8,6 +8,9 @@
 // What bounds it: the fine-grid passes of the four solves, some twelve to sixteen cycles in all; advection is
 // bound by L1 (0.58 ms at paper size). The host waits once per cycle, to decide whether another one is
 // needed.
+//
+// GPUPHYS_OTHER_BLOCKS chooses other tiles for the march and other blocks for the kernels around the
+// multigrid.
 #include "cases/global_solve/stable_fluids.hpp"
 
 #include "references/blocks/closed_advection.cuh"

@@ -4,7 +4,7 @@
 
 #include <algorithm>
 
-#include "core/module.hpp"
+#include "core/contract/module.hpp"
 #include "serial_baselines/global_solve/mac_fluid.hpp"
 #include "serial_baselines/grid_lattice/mac_sampling.hpp"
 

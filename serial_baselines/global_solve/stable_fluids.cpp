@@ -2,7 +2,7 @@
 // viscosity, projection. Built as FP64 truth and as FP32 variants (Real).
 #include "cases/global_solve/stable_fluids.hpp"
 
-#include "core/module.hpp"
+#include "core/contract/module.hpp"
 #include "serial_baselines/global_solve/mac_fluid.hpp"
 #include "serial_baselines/grid_lattice/mac_sampling.hpp"
 
