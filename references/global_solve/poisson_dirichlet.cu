@@ -9,7 +9,7 @@
 // down under-relaxes the cells that it comes to last, which leaves a smaller residual for a larger error.
 //
 // Bound by the passes over the fine grid, which visit only the planes of their tiles with active cells: of
-// 256^3 cells, half of them active, 65 % of the planes on the way down and 66 % on the way up. NOTES.md has
+// 256^3 cells, half of them active, 65 % of the planes on the way down and 66 % on the way up. docs/lab/global_solve.md has
 // what was measured.
 #include <cstdint>
 
@@ -20,7 +20,7 @@
 namespace gpuphys::poisson_dirichlet {
 namespace {
 
-/// Chosen with a CPU emulation of the cycle in FP32, the schedule at 128^3 (NOTES.md). Where it is not
+/// Chosen with a CPU emulation of the cycle in FP32, the schedule at 128^3 (docs/lab/global_solve.md). Where it is not
 /// enough, what follows converges by itself.
 constexpr multigrid::Tuning kTuning{
     .omega_down = {1.3f, 1.15f},

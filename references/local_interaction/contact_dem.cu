@@ -10,7 +10,7 @@
 // the rounding of each sum.
 //
 // What bounds it: the sort, L2 and waits for memory (300 MB in and out by ncu, most of it records, at half
-// the rate of a copy: NOTES.md); the search, instructions (64 % of the issue slots) and L1 (77 %: of
+// the rate of a copy: docs/lab/local_interaction.md); the search, instructions (64 % of the issue slots) and L1 (77 %: of
 // its 25 million wavefronts a third each for codes and for what the force gathers). A grain meets 8.2 columns
 // of cells and 37 candidates (cells of 1.2 x 1.2 x 0.6 against a reach of 1.15), of which 4.7 touch. What
 // pays:
