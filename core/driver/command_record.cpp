@@ -124,7 +124,7 @@ void record(Context& ctx, const RecordOptions& o) {
 struct CheckOptions {
   std::vector<std::string> tasks;
   std::string gpu;
-  bool harness = false;
+  bool harness = false, skip_missing = false;
 };
 
 std::size_t check_harness(const Context& ctx, const std::vector<std::string>& gpus) {
@@ -176,6 +176,7 @@ void check_records(Context& ctx, const CheckOptions& o) {
         }
       }
       if (!found) fmt::print("MISSING {}: no GPU record\n", task->name);
+      if (!found && o.skip_missing) throw Error(ExitCode::skipped, fmt::format("{}: no GPU has a record of it yet", task->name));
       // One good record is enough: which GPU is at hand is chance.
       if (!good) ++stale;
     }
