@@ -7,7 +7,7 @@
 #include <cstring>
 #include <vector>
 
-#include "core/random.hpp"
+#include "core/generators/random.hpp"
 #include "references/blocks/tile_gather.cuh"
 
 namespace gpuphys::tiles {

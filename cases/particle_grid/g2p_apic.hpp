@@ -1,7 +1,7 @@
 // Contract of g2p_apic (specification: cases/particle_grid/g2p_apic.md).
 #pragma once
 
-#include "core/contract.hpp"
+#include "core/contract/contract.hpp"
 
 namespace gpuphys::g2p_apic {
 

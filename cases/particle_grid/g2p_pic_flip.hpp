@@ -1,7 +1,7 @@
 // Contract of g2p_pic_flip (specification: cases/particle_grid/g2p_pic_flip.md).
 #pragma once
 
-#include "core/contract.hpp"
+#include "core/contract/contract.hpp"
 
 namespace gpuphys::g2p_pic_flip {
 

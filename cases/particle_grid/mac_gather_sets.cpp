@@ -4,7 +4,7 @@
 #include <cmath>
 #include <string>
 
-#include "core/random.hpp"
+#include "core/generators/random.hpp"
 
 namespace gpuphys::mac_particles {
 namespace {

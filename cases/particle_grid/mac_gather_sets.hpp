@@ -7,7 +7,7 @@
 #include <vector>
 
 #include "cases/particle_grid/mac_transfer_sets.hpp"
-#include "core/arrays.hpp"
+#include "core/contract/arrays.hpp"
 
 namespace gpuphys::mac_particles {
 

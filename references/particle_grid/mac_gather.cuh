@@ -14,7 +14,7 @@
 //   order 2, other      c - 1                             s - 1/2, or s + 1/2 in the upper half
 #pragma once
 
-#include "core/view.hpp"
+#include "core/contract/view.hpp"
 #include "references/blocks/tile_gather.cuh"
 #include "references/common/quadratic_bspline.cuh"
 

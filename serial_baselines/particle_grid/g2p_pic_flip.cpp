@@ -4,7 +4,7 @@
 
 #include <array>
 
-#include "core/module.hpp"
+#include "core/contract/module.hpp"
 #include "serial_baselines/particle_grid/mac_gather.hpp"
 
 namespace gpuphys::g2p_pic_flip {
