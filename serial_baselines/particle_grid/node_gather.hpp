@@ -1,5 +1,5 @@
-// Velocity and velocity gradient at a particle from the nodes of a collocated grid, for the serial baselines, from
-// cases/particle_grid/node_gather.md alone.
+// Velocity and velocity gradient at a particle from the nodes of a collocated grid, for the serial baselines,
+// from cases/particle_grid/node_gather.md alone.
 #pragma once
 
 #include <array>
@@ -60,7 +60,7 @@ struct UnclampedSpline {
 
 template <class Real>
 struct Gathered {
-  std::array<Real, 3> v{};                     ///< sum w u
+  std::array<Real, 3> v{};                 ///< sum w u
   std::array<std::array<Real, 3>, 3> g{};  ///< sum u_a dw/dx_b
 };
 
