@@ -9,7 +9,7 @@
 
 #include "cases/collision_query/ccd_ee.hpp"
 #include "cases/collision_query/cloth_sheets_inputs.hpp"
-#include "core/random.hpp"
+#include "core/generators/random.hpp"
 #include "tests/run_module.hpp"
 
 namespace gpuphys {

@@ -1,7 +1,7 @@
 // Contract of fem_newtonian_implicit (specification: cases/global_solve/fem_newtonian_implicit.md).
 #pragma once
 
-#include "core/contract.hpp"
+#include "core/contract/contract.hpp"
 
 namespace gpuphys::fem_newtonian_implicit {
 

@@ -1,7 +1,7 @@
 // Contract of fem_pd (specification: cases/global_solve/fem_pd.md).
 #pragma once
 
-#include "core/contract.hpp"
+#include "core/contract/contract.hpp"
 
 namespace gpuphys::fem_pd {
 

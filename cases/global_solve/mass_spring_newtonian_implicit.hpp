@@ -2,7 +2,7 @@
 // cases/global_solve/mass_spring_newtonian_implicit.md).
 #pragma once
 
-#include "core/contract.hpp"
+#include "core/contract/contract.hpp"
 
 namespace gpuphys::mass_spring_newtonian_implicit {
 

@@ -1,7 +1,7 @@
 // Contract of mass_spring_pd (specification: cases/global_solve/mass_spring_pd.md).
 #pragma once
 
-#include "core/contract.hpp"
+#include "core/contract/contract.hpp"
 
 namespace gpuphys::mass_spring_pd {
 

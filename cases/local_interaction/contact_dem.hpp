@@ -1,7 +1,7 @@
 // Contract of contact_dem (specification: cases/local_interaction/contact_dem.md).
 #pragma once
 
-#include "core/contract.hpp"
+#include "core/contract/contract.hpp"
 
 namespace gpuphys::contact_dem {
 
@@ -14,11 +14,11 @@ struct Inputs {
 
   template <class V>
   void visit(V&& visitor) {
-    visitor.array("x", x, "n,3", "m");
-    visitor.array("v", v, "n,3", "m/s");
-    visitor.array("radius", radius, "n", "m");
-    visitor.scalar("kn", kn, "N/m^2");
-    visitor.scalar("cn", cn, "N s/m^2");
+    visitor.array("x", x, "n,3", "m", between(-1e15, 1e15));
+    visitor.array("v", v, "n,3", "m/s", between(-1e15, 1e15));
+    visitor.array("radius", radius, "n", "m", between(1e-15, 1e15));
+    visitor.scalar("kn", kn, "N/m^2", at_least(0));
+    visitor.scalar("cn", cn, "N s/m^2", at_least(0));
   }
 };
 

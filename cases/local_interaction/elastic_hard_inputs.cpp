@@ -4,7 +4,7 @@
 #include <cmath>
 #include <numbers>
 
-#include "core/random.hpp"
+#include "core/generators/random.hpp"
 
 namespace gpuphys::elastic {
 namespace {

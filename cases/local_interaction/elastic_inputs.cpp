@@ -8,8 +8,8 @@
 #include <string>
 #include <utility>
 
-#include "core/parallel.hpp"
-#include "core/random.hpp"
+#include "core/base/parallel.hpp"
+#include "core/generators/random.hpp"
 
 namespace gpuphys::elastic {
 namespace {

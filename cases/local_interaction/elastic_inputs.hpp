@@ -7,7 +7,7 @@
 #include <vector>
 
 #include "core/judge/checks.hpp"
-#include "core/task.hpp"
+#include "core/contract/task.hpp"
 
 namespace gpuphys::elastic {
 

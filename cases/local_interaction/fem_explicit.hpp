@@ -1,7 +1,7 @@
 // Contract of fem_explicit (specification: cases/local_interaction/fem_explicit.md).
 #pragma once
 
-#include "core/contract.hpp"
+#include "core/contract/contract.hpp"
 
 namespace gpuphys::fem_explicit {
 

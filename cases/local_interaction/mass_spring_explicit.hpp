@@ -1,7 +1,7 @@
 // Contract of mass_spring_explicit (specification: cases/local_interaction/mass_spring_explicit.md).
 #pragma once
 
-#include "core/contract.hpp"
+#include "core/contract/contract.hpp"
 
 namespace gpuphys::mass_spring_explicit {
 

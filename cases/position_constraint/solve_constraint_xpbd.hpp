@@ -1,7 +1,7 @@
 // Contract of solve_constraint_xpbd (specification: cases/position_constraint/solve_constraint_xpbd.md).
 #pragma once
 
-#include "core/contract.hpp"
+#include "core/contract/contract.hpp"
 
 namespace gpuphys::solve_constraint_xpbd {
 
@@ -16,13 +16,13 @@ struct Inputs {
 
   template <class V>
   void visit(V&& v) {
-    v.array("x", x, "n,3", "m");
-    v.array("inv_mass", inv_mass, "n", "1/kg");
-    v.array("springs", springs, "m,2", "");
-    v.array("rest", rest, "m", "m");
-    v.scalar("compliance", compliance, "m/N");
-    v.scalar("dt", dt, "s");
-    v.scalar("iters", iters, "");
+    v.array("x", x, "n,3", "m", between(-1e15, 1e15));
+    v.array("inv_mass", inv_mass, "n", "1/kg", between(0, 1e12));
+    v.array("springs", springs, "m,2", "", index_into("n"));
+    v.array("rest", rest, "m", "m", between(0, 1e15));
+    v.scalar("compliance", compliance, "m/N", between(0, 1e12));
+    v.scalar("dt", dt, "s", between(1e-9, 1e9));
+    v.scalar("iters", iters, "", between(0, 1e6));
   }
 };
 

@@ -19,7 +19,7 @@
 #include <climits>
 #include <stdexcept>
 
-#include "core/module.hpp"
+#include "core/contract/module.hpp"
 #include "references/common/alignment.hpp"
 #include "references/common/vector_add.cuh"
 #include "references/global_solve/newton_step.cuh"

@@ -16,7 +16,7 @@
 #include <climits>
 #include <stdexcept>
 
-#include "core/module.hpp"
+#include "core/contract/module.hpp"
 #include "references/blocks/chebyshev.cuh"
 #include "references/common/alignment.hpp"
 #include "references/common/polar3x3.cuh"

@@ -14,7 +14,9 @@
 #include <climits>
 #include <stdexcept>
 
-#include "core/module.hpp"
+#include "cases/global_solve/poisson_neumann.hpp"
+#include "core/contract/module.hpp"
+#include "references/global_solve/multigrid_solver.cuh"
 #include "references/global_solve/newton_step.cuh"
 #include "references/global_solve/spring_rows.cuh"
 

@@ -19,7 +19,7 @@
 #include <climits>
 #include <stdexcept>
 
-#include "core/module.hpp"
+#include "core/contract/module.hpp"
 #include "references/blocks/chebyshev.cuh"
 #include "references/global_solve/displaced_particles.cuh"
 #include "references/global_solve/spring_rows.cuh"

@@ -19,7 +19,7 @@
 #include <climits>
 #include <stdexcept>
 
-#include "core/module.hpp"
+#include "core/contract/module.hpp"
 #include "references/common/alignment.hpp"
 #include "references/common/device_buffer.cuh"
 #include "references/common/vector_add.cuh"

@@ -29,7 +29,7 @@
 #include <stdexcept>
 #include <utility>
 
-#include "core/module.hpp"
+#include "core/contract/module.hpp"
 #include "references/position_constraint/spatial_order.cuh"
 #include "references/position_constraint/spring_projection.cuh"
 

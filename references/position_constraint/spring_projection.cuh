@@ -150,9 +150,9 @@ struct Iteration {
 
 /// The rows of the tile that begins with particle `low`: a warp a slice, `Unroll` half-springs a thread at a
 /// time. `held` (shared) has the tile, its halo, and behind them one particle to look up and one that is
-/// none, `steps` (shared) the tile's displacements so far; `metre` is what a difference of 1 is, m. With
-/// `LookUp`, takes from device memory what `held` has not or does not resolve, and returns whether there was
-/// any.
+/// none, `steps` (shared) the tile's displacements so far; `metre` is what a difference of 1 is, m. Takes
+/// from device memory springs too short for `held` and, with `LookUp`, those whose ends it has not; returns
+/// whether there was any.
 template <class Shape, int Threads, int Unroll, bool First, bool LookUp>
 __device__ __forceinline__ bool project_rows(const Held* held, const float4* steps, const int* slice,
                                              const Tiles& springs, const Iteration& iteration, float metre,
@@ -193,7 +193,7 @@ __device__ __forceinline__ bool project_rows(const Held* held, const float4* ste
 #pragma unroll
       for (int u = 0; u < Unroll; ++u) {
         const int at = place + u * pitch;
-        other[u] = LookUp ? none : me;  // past the end of the row
+        other[u] = none;  // past the end of the row
         shifted_rest[u] = 0.0f;
         if (k0 + u * lanes < length_of_row) {
           other[u] = __ldcs(springs.local + at);
@@ -204,6 +204,7 @@ __device__ __forceinline__ bool project_rows(const Held* held, const float4* ste
       float3 d[Unroll];
       float inv_mass[Unroll], unit[Unroll];
       int valence[Unroll];
+      // Any iteration may bring two ends together.
       bool look_up = LookUp && self.valence() == Held::kLookUp;
 #pragma unroll
       for (int u = 0; u < Unroll; ++u) {
@@ -212,11 +213,10 @@ __device__ __forceinline__ bool project_rows(const Held* held, const float4* ste
         inv_mass[u] = end.inv_mass;
         valence[u] = end.valence();
         unit[u] = metre;
-        if (LookUp)
-          look_up = look_up || valence[u] == Held::kLookUp ||
-                    d[u].x * d[u].x + d[u].y * d[u].y + d[u].z * d[u].z < Held::kLeastSquare;
+        look_up = look_up || (LookUp && valence[u] == Held::kLookUp) ||
+                  d[u].x * d[u].x + d[u].y * d[u].y + d[u].z * d[u].z < Held::kLeastSquare;
       }
-      if (LookUp && look_up) {
+      if (look_up) {
 #pragma unroll
         for (int u = 0; u < Unroll; ++u) {
           if (k0 + u * lanes >= length_of_row) continue;

@@ -4,7 +4,7 @@
 
 #include <limits>
 
-#include "core/module.hpp"
+#include "core/contract/module.hpp"
 #include "serial_baselines/global_solve/newton.hpp"
 #include "serial_baselines/local_interaction/elastic_forces.hpp"
 

@@ -2,7 +2,7 @@
 // variants (Real).
 #include "cases/global_solve/fem_pd.hpp"
 
-#include "core/module.hpp"
+#include "core/contract/module.hpp"
 #include "serial_baselines/global_solve/projective_dynamics.hpp"
 #include "serial_baselines/local_interaction/elastic_forces.hpp"
 

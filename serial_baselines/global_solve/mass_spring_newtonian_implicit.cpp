@@ -2,7 +2,7 @@
 // cases/global_solve/mass_spring_newtonian_implicit.md alone. Built in FP64 and as FP32 variants (Real).
 #include "cases/global_solve/mass_spring_newtonian_implicit.hpp"
 
-#include "core/module.hpp"
+#include "core/contract/module.hpp"
 #include "serial_baselines/global_solve/newton.hpp"
 #include "serial_baselines/local_interaction/elastic_forces.hpp"
 

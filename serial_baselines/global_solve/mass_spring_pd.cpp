@@ -2,7 +2,7 @@
 // truth and as FP32 variants (Real).
 #include "cases/global_solve/mass_spring_pd.hpp"
 
-#include "core/module.hpp"
+#include "core/contract/module.hpp"
 #include "serial_baselines/global_solve/projective_dynamics.hpp"
 #include "serial_baselines/local_interaction/elastic_forces.hpp"
 

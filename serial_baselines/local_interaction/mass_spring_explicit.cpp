@@ -3,7 +3,7 @@
 #include <vector>
 
 #include "cases/local_interaction/mass_spring_explicit.hpp"
-#include "core/module.hpp"
+#include "core/contract/module.hpp"
 #include "serial_baselines/local_interaction/elastic_forces.hpp"
 
 namespace gpuphys::mass_spring_explicit {
