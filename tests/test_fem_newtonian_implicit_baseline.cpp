@@ -7,7 +7,6 @@
 
 #include "cases/global_solve/fem_newtonian_implicit.hpp"
 #include "cases/local_interaction/elastic_inputs.hpp"
-#include "core/comparators.hpp"
 #include "tests/run_module.hpp"
 #include "tests/time_loops/fem_newtonian_implicit.hpp"
 

@@ -284,8 +284,6 @@ std::vector<InputSet> hard_sets() {
 
 Task make_task() {
   Task t;
-  t.name = "fem_newtonian_implicit";
-  t.family = "global_solve";
   t.title = "Implicit step of Neo-Hookean tetrahedra by Newton's method";
   t.paper_number = 5;
   t.contract = describe<Inputs, Outputs<float>>();

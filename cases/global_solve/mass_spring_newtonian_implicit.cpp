@@ -256,8 +256,6 @@ std::vector<InputSet> hard_sets() {
 
 Task make_task() {
   Task t;
-  t.name = "mass_spring_newtonian_implicit";
-  t.family = "global_solve";
   t.title = "Implicit step of a mass-spring system by Newton's method";
   t.paper_number = 4;
   t.contract = describe<Inputs, Outputs<float>>();
