@@ -242,8 +242,6 @@ std::vector<InputSet> hard_sets() {
 
 Task make_task() {
   Task t;
-  t.name = "fem_pd";
-  t.family = "global_solve";
   t.title = "Step of corotated tetrahedra by projective dynamics";
   t.paper_number = 7;
   t.contract = describe<Inputs, Outputs<float>>();

@@ -214,8 +214,6 @@ std::vector<InputSet> hard_sets() {
 
 Task make_task() {
   Task t;
-  t.name = "mass_spring_pd";
-  t.family = "global_solve";
   t.title = "Step of a mass-spring system by projective dynamics";
   t.paper_number = 6;
   t.contract = describe<Inputs, Outputs<float>>();
