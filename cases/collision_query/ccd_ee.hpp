@@ -24,7 +24,7 @@ struct Outputs {
 
   template <class V>
   void visit(V&& v) {
-    v.array("toi", toi, "m", "");
+    v.array("toi", toi, "m", "", between(0, 1));
   }
 };
 

@@ -29,8 +29,7 @@ void keep_history(const Context& ctx, const std::string& slug, TaskRecord& recor
   std::vector<HistoryEntry> fresh;
   for (TimingResult& t : record.timing) {
     if (!t.scalar_overrides.empty()) continue;
-    const bool slow = t.gate.state == "SLOW";
-    if (slow && !accept_slower.empty()) t.gate.state = "ACCEPTED";
+    const bool slow = t.gate.state == "ACCEPTED";
     const bool there = std::any_of(known.begin(), known.end(), [&](const HistoryEntry& e) {
       return e.label == t.label && e.set == t.set && e.sources == t.module.sources.substr(0, 12) &&
              fmt::format("{:.5g}", e.median_ms) == fmt::format("{:.5g}", t.median_ms);
