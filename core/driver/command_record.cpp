@@ -176,7 +176,8 @@ void check_records(Context& ctx, const CheckOptions& o) {
         }
       }
       if (!found) fmt::print("MISSING {}: no GPU record\n", task->name);
-      if (!found && o.skip_missing) throw Error(ExitCode::skipped, fmt::format("{}: no GPU has a record of it yet", task->name));
+      if (!found && o.skip_missing)
+        throw Error(ExitCode::skipped, fmt::format("{}: no GPU has a record of it yet", task->name));
       // One good record is enough: which GPU is at hand is chance.
       if (!good) ++stale;
     }
