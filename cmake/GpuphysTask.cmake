@@ -20,10 +20,41 @@ function(gpuphys_variant name)
 endfunction()
 include(${PROJECT_SOURCE_DIR}/fmad_variants/variants.cmake)
 
+# What decides a module's code besides its sources, as one line. What this leaves out does not make a record stale.
+function(gpuphys_flags_text source flags defines result)
+  get_filename_component(extension ${source} EXT)
+  set(all ${flags})
+  foreach(define ${defines})
+    list(APPEND all -D${define})
+  endforeach()
+  if(extension MATCHES "\\.cu$")
+    set(all ${CMAKE_CUDA_FLAGS} ${CMAKE_CUDA_FLAGS_RELEASE} -std=c++${CMAKE_CUDA_STANDARD} sm_${CMAKE_CUDA_ARCHITECTURES} $ENV{NVCC_APPEND_FLAGS} ${all})
+  else()
+    set(all ${CMAKE_CXX_FLAGS} ${CMAKE_CXX_FLAGS_RELEASE} -std=c++${CMAKE_CXX_STANDARD} ${all})
+  endif()
+  list(JOIN all " " text)
+  set(${result} "${text}" PARENT_SCOPE)
+endfunction()
+
+# Notes what a module should be built from, whether or not this build makes it: `gpuphys check-records` compares.
+function(gpuphys_expect_module task label source flags overlay)
+  file(RELATIVE_PATH relative ${PROJECT_SOURCE_DIR} ${source})
+  if(relative MATCHES "^\\.\\.|^build")  # a patched copy
+    file(RELATIVE_PATH relative ${overlay} ${source})
+  endif()
+  set_property(GLOBAL APPEND_STRING PROPERTY GPUPHYS_EXPECTED "${task}\t${label}\t${relative}\t${overlay}\t${flags}\n")
+endfunction()
+
 # A loadable module: modules/<task>/<label>.so.
 function(gpuphys_module task label source)
-  cmake_parse_arguments(arg "" "" "INCLUDE;FLAGS;DEFINES;LIBRARIES;DEPENDS" ${ARGN})
+  cmake_parse_arguments(arg "EXPECT_ONLY" "" "INCLUDE;FLAGS;DEFINES;LIBRARIES;DEPENDS" ${ARGN})
+  gpuphys_flags_text(${source} "${arg_FLAGS}" "${arg_DEFINES}" flags)
+  gpuphys_expect_module(${task} ${label} ${source} "${flags}" "${arg_INCLUDE}")
+  if(arg_EXPECT_ONLY)
+    return()
+  endif()
   set(target module_${task}_${label})
+  get_filename_component(extension ${source} EXT)
   add_library(${target} MODULE ${source})
   target_include_directories(${target} PRIVATE ${arg_INCLUDE} ${PROJECT_SOURCE_DIR})
   target_compile_options(${target} PRIVATE ${arg_FLAGS})
@@ -33,8 +64,25 @@ function(gpuphys_module task label source)
     add_dependencies(${target} ${arg_DEPENDS})
   endif()
   add_dependencies(task_${task} ${target})
+  if(GPUPHYS_GPU_MUTANTS OR NOT extension MATCHES "\\.cu$")  # without a GPU the references only have to compile
+    add_dependencies(validation ${target})
+  endif()
   set_target_properties(${target} PROPERTIES PREFIX "" OUTPUT_NAME ${label} CXX_VISIBILITY_PRESET hidden
                         LIBRARY_OUTPUT_DIRECTORY ${PROJECT_BINARY_DIR}/modules/${task})
+  set(compiler "${CMAKE_CXX_COMPILER_ID} ${CMAKE_CXX_COMPILER_VERSION}")
+  if(extension MATCHES "\\.cu$")
+    set(compiler "nvcc ${CMAKE_CUDA_COMPILER_VERSION}, ${compiler}")
+  endif()
+  file(RELATIVE_PATH relative ${PROJECT_SOURCE_DIR} ${source})
+  if(relative MATCHES "^\\.\\.|^build")
+    file(RELATIVE_PATH relative ${arg_INCLUDE} ${source})
+  endif()
+  if(NOT GPUPHYS_SANITIZE)
+    add_dependencies(${target} gpuphys-stamp)
+    add_custom_command(TARGET ${target} POST_BUILD VERBATIM
+      COMMAND gpuphys-stamp --root ${PROJECT_SOURCE_DIR} --overlay "${arg_INCLUDE}" --source ${relative}
+              --flags "${flags}" --compiler "${compiler}" --module $<TARGET_FILE:${target}>)
+  endif()
 endfunction()
 
 # Patched copies of the files that a mutant touches, in mutants/<task>/<fault>/ of the build tree.
@@ -80,6 +128,9 @@ function(gpuphys_add_task task family)
   set(GPUPHYS_TASKS ${GPUPHYS_TASKS} ${task} CACHE INTERNAL "")
   set(GPUPHYS_FAMILY_OF_${task} ${family} CACHE INTERNAL "")
   add_custom_target(task_${task})
+  if(NOT TARGET validation)
+    add_custom_target(validation)
+  endif()
   target_sources(gpuphys_core PRIVATE ${case})
 
   # gpuphys_finish() adds what the tasks of these families share.
@@ -100,7 +151,9 @@ function(gpuphys_add_task task family)
     foreach(variant ${GPUPHYS_VARIANTS})
       gpuphys_module(${task} ${variant} ${reference} FLAGS ${GPUPHYS_VARIANT_FLAGS_${variant}}
                      LIBRARIES gpuphys_primitives)
-      gpuphys_ptx_test(${task} ${variant} ${reference})
+      if(variant STREQUAL fmad)
+        gpuphys_ptx_test(${task} ${variant} ${reference})
+      endif()
     endforeach()
     # A reference that offers another choice of blocks is built with it as well: rounding must not depend on them by much.
     file(STRINGS ${reference} offers_other_blocks REGEX "GPUPHYS_OTHER_BLOCKS")
@@ -131,9 +184,13 @@ function(gpuphys_add_task task family)
       gpuphys_serial_module(${task} serial_mutant.${fault} ${mutated_baseline} REAL float FLAGS -ffp-contract=off
                             INCLUDE ${copy} DEPENDS patched_${task}_${fault})
     endif()
-    if(touched MATCHES "references/" AND GPUPHYS_HAS_CUDA AND GPUPHYS_GPU_MUTANTS)
+    if(touched MATCHES "references/" AND GPUPHYS_HAS_CUDA)
+      set(only EXPECT_ONLY)
+      if(GPUPHYS_GPU_MUTANTS)
+        set(only "")
+      endif()
       gpuphys_module(${task} mutant.${fault} ${mutated_reference} INCLUDE ${copy} DEPENDS patched_${task}_${fault}
-                     LIBRARIES gpuphys_primitives)
+                     LIBRARIES gpuphys_primitives ${only})
     endif()
   endforeach()
 endfunction()
@@ -184,7 +241,7 @@ function(gpuphys_finish)
 "// Written by cmake/GpuphysTask.cmake.
 #include <algorithm>
 
-#include \"core/task.hpp\"
+#include \"core/contract/task.hpp\"
 
 namespace gpuphys {
 ${declarations}
@@ -206,6 +263,8 @@ ${calls}    std::sort(all.begin(), all.end(), [](const Task& a, const Task& b) {
 ")
   target_sources(gpuphys_core PRIVATE ${PROJECT_BINARY_DIR}/registry.cpp)
 
+  get_property(expected GLOBAL PROPERTY GPUPHYS_EXPECTED)
+  file(CONFIGURE OUTPUT ${PROJECT_BINARY_DIR}/modules/expected.tsv CONTENT "@expected@" @ONLY)
   if(GPUPHYS_SANITIZE)
     return()
   endif()
@@ -227,6 +286,7 @@ ${calls}    std::sort(all.begin(), all.end(), [](const Task& a, const Task& b) {
   foreach(task ${GPUPHYS_TASKS})
     add_dependencies(task_${task} task_tests)
   endforeach()
+  add_dependencies(validation task_tests)
   file(CONFIGURE OUTPUT ${PROJECT_BINARY_DIR}/include_task_tests.cmake CONTENT
 "if(EXISTS \"${test_file}\")
   include(\"${test_file}\")

@@ -8,5 +8,9 @@
 # <task>.fmad_differs checks that the variant's PTX holds fewer fused operations than the reference's.
 gpuphys_variant(fmad -fmad=false)
 
+# What speed costs in error: approximate roots and divisions, subnormals flushed. Judged and reported, not required to
+# pass.
+gpuphys_variant(fast_math -use_fast_math)
+
 # A second known-correct build needs no flags of its own: where a reference offers other block sizes (it mentions
 # GPUPHYS_OTHER_BLOCKS), gpuphys_add_task() also builds it with that macro defined, as the module `blocks`.

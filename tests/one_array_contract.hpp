@@ -1,7 +1,7 @@
 // The contract of the test-only tasks: one array in, one array of the same length out.
 #pragma once
 
-#include "core/contract.hpp"
+#include "core/contract/contract.hpp"
 
 namespace gpuphys::one_array {
 

@@ -12,8 +12,8 @@
 #include <vector>
 
 #include "cases/global_solve/poisson_system.hpp"
-#include "core/random.hpp"
-#include "core/task.hpp"
+#include "core/contract/task.hpp"
+#include "core/generators/random.hpp"
 #include "serial_baselines/global_solve/seven_point_system.hpp"
 
 namespace gpuphys::poisson_testing {

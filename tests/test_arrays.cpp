@@ -1,7 +1,7 @@
 // Arrays, symbolic shapes, and the errors of inputs that do not fit a contract.
 #include <gtest/gtest.h>
 
-#include "core/arrays.hpp"
+#include "core/contract/arrays.hpp"
 
 namespace gpuphys {
 namespace {

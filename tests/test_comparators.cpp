@@ -4,8 +4,8 @@
 #include <cmath>
 #include <limits>
 
-#include "core/comparators.hpp"
-#include "core/random.hpp"
+#include "core/generators/random.hpp"
+#include "core/judge/comparators.hpp"
 
 namespace gpuphys {
 namespace {

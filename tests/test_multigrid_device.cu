@@ -11,8 +11,8 @@
 #include <string>
 
 #include "cases/global_solve/poisson_inputs.hpp"
-#include "core/harness.hpp"
-#include "core/random.hpp"
+#include "core/generators/random.hpp"
+#include "core/run/gpu/ceilings.hpp"
 #include "tests/multigrid_host.hpp"
 
 namespace gpuphys::testing {
@@ -424,7 +424,7 @@ int main(int argc, char** argv) {
   }
   if (device) {
     try {
-      gpuphys::make_device_backend();
+      gpuphys::require_gpu();
     } catch (const gpuphys::Error& e) {
       std::fprintf(stderr, "test_multigrid_device: %s\n", e.what());
       return static_cast<int>(e.code());

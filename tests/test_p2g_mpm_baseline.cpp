@@ -8,7 +8,7 @@
 #include <functional>
 #include <limits>
 
-#include "core/random.hpp"
+#include "core/generators/random.hpp"
 #include "serial_baselines/particle_grid/elasticity.hpp"
 #include "serial_baselines/particle_grid/quadratic_spline.hpp"
 #include "tests/run_module.hpp"

@@ -3,7 +3,7 @@
 
 #include <algorithm>
 
-#include "core/permutation.hpp"
+#include "core/contract/permutation.hpp"
 
 namespace gpuphys {
 namespace {

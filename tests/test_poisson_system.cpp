@@ -9,8 +9,8 @@
 #include <functional>
 #include <limits>
 
-#include "core/comparators.hpp"
-#include "core/task.hpp"
+#include "core/contract/task.hpp"
+#include "core/judge/comparators.hpp"
 
 namespace gpuphys {
 

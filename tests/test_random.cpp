@@ -4,7 +4,7 @@
 #include <array>
 #include <cmath>
 
-#include "core/random.hpp"
+#include "core/generators/random.hpp"
 
 namespace gpuphys {
 namespace {

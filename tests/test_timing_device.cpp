@@ -6,9 +6,10 @@
 #include <cstdlib>
 #include <memory>
 
-#include "core/parallel.hpp"
-#include "core/random.hpp"
-#include "core/timing.hpp"
+#include "core/base/parallel.hpp"
+#include "core/generators/random.hpp"
+#include "core/measure/protocol.hpp"
+#include "core/measure/timing.hpp"
 #include "tests/slowdown_modules/target.hpp"
 
 namespace {
@@ -51,28 +52,44 @@ std::vector<std::string> judge(const Problem& p, const CallReport& report) {
 }
 
 struct Bench {
-  std::unique_ptr<Backend> backend = make_device_backend();
-  GpuIdentity gpu = gpu_identity();
-  Ceilings ceilings = measure_ceilings();
+  GpuIdentity gpu;
+  Ceilings ceilings;
   Problem timed = make_inputs(1), other = make_inputs(2);
 
+  static std::unique_ptr<Runner> start(const std::string& name) {
+    const RunnerOptions options{.program = GPUPHYS_RUNNER_PROGRAM,
+                                .timeout_s = 60,
+                                .under_tool = false,
+                                .build_root = GPUPHYS_BUILD_ROOT};
+    return std::make_unique<Runner>(options, std::string(GPUPHYS_SLOWDOWN_MODULES) + "/" + name + ".so");
+  }
+  Bench() {
+    const auto runner = start("x1.00");
+    gpu = runner->identify();
+    ceilings = runner->ceilings();
+  }
+
   TimingResult time(const std::string& name) {
-    const LoadedModule module(std::string(GPUPHYS_SLOWDOWN_MODULES) + "/" + name + ".so");
     const TimedSide one{&timed, [&](const CallReport& r, const Arrays*) { return judge(timed, r); }};
     const TimedSide two{&other, nullptr};
+    const auto loaded = [&] {
+      auto runner = start(name);
+      runner->load(GpuUse::needed);
+      return runner;
+    };
     const std::vector<double> times =
-        time_module(*backend, module, describe<Inputs, Outputs<float>>(), one, two).timed;
+        time_module(loaded, describe<Inputs, Outputs<float>>(), one, two).milliseconds;
     return timing_result("slowdown_target", name, "public", times, 8.0 * kSize, 0, ceilings, gpu);
   }
 };
 
-// One verdict: two timings where the first says SLOW, as `gpuphys time` does with two processes.
-GateState verdict(Bench& bench, const std::string& name, const TimingResult& record) {
+// One verdict: two timings where the first says SLOW, as `gpuphys time` makes them.
+GateState verdict(Bench& bench, const std::string& name, const HistoryEntry& record) {
   TimingResult first = bench.time(name);
   GateState state = apply_gate(first, bench.ceilings, &record).state;
   std::printf("%-12s %.4f ms, %.3f x record, limit %.3f: %s", name.c_str(), first.median_ms,
               first.multiple / record.multiple, first.gate.limit / record.multiple, first.gate.state.c_str());
-  if (state == GateState::slow) {
+  if (state == GateState::slow || state == GateState::noisy) {
     TimingResult second = bench.time(name);
     state = confirmed_state(state, apply_gate(second, bench.ceilings, &record).state);
     std::printf("; again %.4f ms: %s", second.median_ms, second.gate.state.c_str());
@@ -89,9 +106,13 @@ int run() {
       "%s, driver %s, %s: copy %.0f GB/s, read %.0f GB/s, FP32 %.1f TFLOP/s, launch %.2f us, L2 %.0f MiB\n",
       bench.gpu.device.c_str(), bench.gpu.driver.c_str(), bench.gpu.toolkit.c_str(), c.copy_GBps, c.read_GBps,
       c.fp32_TFLOPs, c.launch_us, c.l2_MiB);
-  const TimingResult record = bench.time("x1.00");
+  const TimingResult first = bench.time("x1.00");
+  HistoryEntry record;
+  record.median_ms = first.median_ms;
+  record.multiple = first.multiple;
+  record.spread = noise_spread(first.times_ms);
   std::printf("record       %.4f ms, %.2f x floor, spread %.2f %% (middle half %.2f %%)\n", record.median_ms,
-              record.multiple, 100 * record.spread, 100 * noise_spread(record.times_ms));
+              record.multiple, 100 * first.spread, 100 * record.spread);
   int failures = 0;
   const auto expect = [&](const std::string& name, GateState wanted) {
     const GateState found = verdict(bench, name, record);

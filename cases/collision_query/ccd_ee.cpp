@@ -8,9 +8,10 @@
 #include <functional>
 
 #include "cases/collision_query/cloth_sheets_inputs.hpp"
+#include "core/contract/task.hpp"
+#include "core/generators/random.hpp"
 #include "core/judge/checks.hpp"
-#include "core/random.hpp"
-#include "core/task.hpp"
+#include "core/judge/comparators.hpp"
 
 namespace gpuphys::ccd_ee {
 namespace {

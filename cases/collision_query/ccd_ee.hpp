@@ -1,7 +1,7 @@
 // Contract of ccd_ee (specification: cases/collision_query/ccd_ee.md).
 #pragma once
 
-#include "core/contract.hpp"
+#include "core/contract/contract.hpp"
 
 namespace gpuphys::ccd_ee {
 

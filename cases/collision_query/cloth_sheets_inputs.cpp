@@ -7,9 +7,9 @@
 #include <numbers>
 #include <numeric>
 
-#include "core/error.hpp"
-#include "core/parallel.hpp"
-#include "core/random.hpp"
+#include "core/base/error.hpp"
+#include "core/base/parallel.hpp"
+#include "core/generators/random.hpp"
 
 namespace gpuphys::cloth_sheets {
 namespace {
@@ -42,7 +42,8 @@ constexpr double kRounding = 16 * 0x1p-24;
 // The largest uncertainty of the time of an event that is kept.
 constexpr double kTimeUncertainty = 5e-4;
 
-/// The relative motion of two edges: u and v along them, w between their first ends.
+/// The relative motion of a pair: u and v along two edges or two sides of a triangle, w between the first end
+/// of u and that of v, or the vertex.
 struct PairMotion {
   Point u0, v0, w0, u1, v1, w1;
 
@@ -56,17 +57,29 @@ struct PairMotion {
            dot(w, cross(u, minus(v1, v0)));
   }
   /// How far inside both edges the crossing lies at t: negative outside. Second: its uncertainty.
-  std::array<double, 2> depth(double t) const {
+  std::array<double, 2> depth_in_edges(double t) const {
     const Point u = between(u0, u1, t), v = between(v0, v1, t), w = between(w0, w1, t), n = cross(u, v);
     const double nn = dot(n, n), lengths = std::max(length(u), length(v));
     if (nn == 0) return {0, 1};
     const double s = dot(cross(w, v), n) / nn, r = dot(cross(w, u), n) / nn;
     return {std::min({s, 1 - s, r, 1 - r}), kRounding * std::max(1.0, length(w) * lengths / std::sqrt(nn))};
   }
+  /// Likewise inside the triangle, with the margin that belongs to it.
+  std::array<double, 2> depth_in_triangle(double t) const {
+    constexpr double margin = 0x1p-20;
+    const Point u = between(u0, u1, t), v = between(v0, v1, t), w = between(w0, w1, t), n = cross(u, v);
+    const double nn = dot(n, n), lengths = std::max(length(u), length(v));
+    if (nn == 0) return {0, 1};
+    const double s = dot(cross(w, v), n) / nn, r = dot(cross(u, w), n) / nn;
+    return {std::min({s, r, 1 - s - r}) + margin,
+            kRounding * std::max(1.0, length(w) * lengths / std::sqrt(nn))};
+  }
 };
 
-// Could two correct FP32 codes disagree about the events of this pair?
-bool ambiguous(const PairMotion& p) {
+// Could two correct FP32 codes disagree about the events of this pair? `depth(t)`: how far inside the
+// partners a crossing at t lies, and the uncertainty of that.
+template <class Depth>
+bool coplanarity_ambiguous(const PairMotion& p, Depth&& depth_at) {
   const double scale = std::max(length(p.u0), length(p.u1)) * std::max(length(p.v0), length(p.v1)) *
                        std::max(length(p.w0), length(p.w1));
   const double noise = kRounding * scale;
@@ -84,7 +97,7 @@ bool ambiguous(const PairMotion& p) {
   ends.push_back(1.0);
   std::sort(ends.begin(), ends.end());
   for (const double t : ends) {
-    if (std::abs(p.volume(t)) < noise && p.depth(t)[0] > -0.05) return true;
+    if (std::abs(p.volume(t)) < noise && depth_at(t)[0] > -0.05) return true;
   }
   for (std::size_t k = 0; k + 1 < ends.size(); ++k) {
     double low = ends[k], high = ends[k + 1];
@@ -98,12 +111,126 @@ bool ambiguous(const PairMotion& p) {
     const double shift = off < 0.05 ? off : 0.05;
     int inside = 0, outside = 0;
     for (const double at : {t - shift, t, t + shift}) {
-      const auto [depth, unsure] = p.depth(at);
+      const auto [depth, unsure] = depth_at(at);
       inside += depth > unsure;
       outside += depth < -unsure;
     }
     if (inside != 3 && outside != 3) return true;
     if (inside == 3 && off > kTimeUncertainty) return true;
+  }
+  return false;
+}
+
+bool ambiguous(const PairMotion& edges) {
+  return coplanarity_ambiguous(edges, [&](double t) { return edges.depth_in_edges(t); });
+}
+
+// Two vertices of which one moves from p0 to p1 as seen from the other.
+bool contact_ambiguous(const Point& p0, const Point& p1, double d) {
+  constexpr double apart = 1e-5;  // of d: how clear of the distance of contact decisions must be
+  const Point q = minus(p1, p0);
+  const double size = std::max({length(p0), length(p1), d}), noise = kRounding * size;
+  const double start = length(p0), clear = apart * d + noise;
+  if (std::abs(start - d) < clear) return true;
+  const double qq = dot(q, q), b = dot(p0, q);
+  if (start < d || b >= 0) return false;
+  const double closest = -b / qq, m = length(between(p0, p1, closest));
+  const double slack = std::sqrt(std::max(0.0, d * d - m * m) / qq);
+  if (closest - slack > 1 + 1e-3) return false;
+  if (std::abs(m - d) < clear) return true;
+  if (m > d) return false;
+  // The time of entry moves by the rounding of the distance over the speed of approach.
+  return noise / (std::sqrt(qq) * std::sqrt(d * d - m * m) / d) > kTimeUncertainty;
+}
+
+/// A vertex and an edge: w from the edge's first end to the vertex, u along the edge.
+struct EdgeAndVertex {
+  Point u0, w0, u1, w1;
+  double d;
+
+  Point u(double t) const { return between(u0, u1, t); }
+  Point w(double t) const { return between(w0, w1, t); }
+  /// Distance from the edge's line.
+  double distance(double t) const { return length(cross(w(t), u(t))) / length(u(t)); }
+  double foot(double t) const { return dot(w(t), u(t)) / dot(u(t), u(t)); }
+  double excess(double t) const {
+    const Point c = cross(w(t), u(t));
+    return dot(c, c) - d * d * dot(u(t), u(t));
+  }
+  double slope(double t) const {
+    const Point du = minus(u1, u0), dw = minus(w1, w0), p = cross(dw, u(t)), q = cross(w(t), du);
+    return 2 * dot(cross(w(t), u(t)), {p[0] + q[0], p[1] + q[1], p[2] + q[2]}) - 2 * d * d * dot(u(t), du);
+  }
+};
+
+// The zeros of a cubic that takes these values at 0, 1/3, 2/3 and 1, inside (0, 1).
+template <class F>
+std::vector<double> turns_of(F&& f) {
+  const double f0 = f(0.0), f1 = f(1 / 3.0), f2 = f(2 / 3.0), f3 = f(1.0);
+  // f = f0 + a s + b s^2 + c s^3 with s = 3 t, by differences.
+  const double d1 = f1 - f0, d2 = f2 - 2 * f1 + f0, d3 = f3 - 3 * f2 + 3 * f1 - f0;
+  const double c = d3 / 6, b = d2 / 2 - d3 / 2, a = d1 - d2 / 2 + d3 / 3;
+  std::vector<double> ends{0.0};
+  const double discriminant = b * b - 3 * c * a;
+  if (discriminant > 0) {
+    const double q = -(b + std::copysign(std::sqrt(discriminant), b));
+    for (const double s : {q / (3 * c), a / q}) {
+      if (s > 0 && s < 3) ends.push_back(s / 3);
+    }
+  }
+  ends.push_back(1.0);
+  std::sort(ends.begin(), ends.end());
+  std::vector<double> zeros;
+  for (std::size_t k = 0; k + 1 < ends.size(); ++k) {
+    double low = ends[k], high = ends[k + 1];
+    const bool rising = f(low) < 0;
+    if (rising == (f(high) < 0)) continue;
+    for (int step = 0; step < 40; ++step) {
+      const double middle = 0.5 * (low + high);
+      ((f(middle) < 0) == rising ? low : high) = middle;
+    }
+    zeros.push_back(0.5 * (low + high));
+  }
+  return zeros;
+}
+
+bool contact_ambiguous(const EdgeAndVertex& p) {
+  const double longest = std::max(length(p.u0), length(p.u1));
+  if (longest == 0) return false;
+  const double lengths = std::max(length(p.w0), length(p.w1)) * longest;
+  const auto noise = [&](double t) { return kRounding * std::max(p.d, lengths / length(p.u(t))); };
+  const auto unsure_of_foot = [&](double t) {
+    return 1e-5 + kRounding * std::max(1.0, lengths / dot(p.u(t), p.u(t)));
+  };
+  std::vector<double> ends = turns_of([&](double t) { return p.slope(t); });
+  ends.insert(ends.begin(), 0.0);
+  ends.push_back(1.0);
+  for (const double t : ends) {
+    if (length(p.u(t)) < 1e-5 * longest) return true;
+    const double foot = p.foot(t);
+    if (std::abs(p.distance(t) - p.d) < 1e-5 * p.d + noise(t) && foot > -0.05 && foot < 1.05) return true;
+  }
+  // Contact from the start: the foot decides.
+  if (p.distance(0) < p.d && std::min(std::abs(p.foot(0)), std::abs(p.foot(0) - 1)) < unsure_of_foot(0))
+    return true;
+  for (std::size_t k = 0; k + 1 < ends.size(); ++k) {
+    double low = ends[k], high = ends[k + 1];
+    if (p.excess(low) <= 0 || p.excess(high) > 0) continue;
+    for (int step = 0; step < 50; ++step) {
+      const double middle = 0.5 * (low + high);
+      (p.excess(middle) > 0 ? low : high) = middle;
+    }
+    const double t = 0.5 * (low + high), around = 1e-4;
+    const double speed = (p.distance(t - around) - p.distance(t + around)) / (2 * around);
+    const double off = noise(t) / std::abs(speed), shift = off < 0.05 ? off : 0.05;
+    int beside = 0, beyond = 0;
+    for (const double at : {t - shift, t, t + shift}) {
+      const double depth = std::min(p.foot(at), 1 - p.foot(at));
+      beside += depth > unsure_of_foot(at);
+      beyond += depth < -unsure_of_foot(at);
+    }
+    if (beside != 3 && beyond != 3) return true;
+    if (beside == 3 && off > kTimeUncertainty) return true;
   }
   return false;
 }
@@ -156,12 +283,16 @@ class Columns {
 
  private:
   std::int64_t column(double x, std::size_t d) const {
-    return static_cast<std::int64_t>((x - low_[d]) / size_);
+    return static_cast<std::int64_t>(std::floor((x - low_[d]) / size_));
   }
   template <class F>
   void visit(const Box& b, F&& f) const {
-    for (std::int64_t i = column(b.low[0], 0); i <= column(b.high[0], 0); ++i) {
-      for (std::int64_t j = column(b.low[1], 1); j <= column(b.high[1], 1); ++j)
+    // A box that asks may reach beyond the columns.
+    const auto within = [&](float x, std::size_t d) {
+      return std::clamp<std::int64_t>(column(x, d), 0, n_[d] - 1);
+    };
+    for (std::int64_t i = within(b.low[0], 0); i <= within(b.high[0], 0); ++i) {
+      for (std::int64_t j = within(b.low[1], 1); j <= within(b.high[1], 1); ++j)
         f(static_cast<std::size_t>(i * n_[1] + j));
     }
   }
@@ -206,7 +337,7 @@ Motion lattice_vertex(const Parameters& p, int l, std::int64_t a, std::int64_t b
   const double wave =
       p.waviness * std::sin(turn * p.wave_a * da / n + p.phase_step * l) * std::cos(turn * p.wave_b * db / n);
   Motion m;
-  m.start = {da + 0.37 * l + p.jitter * noise(kJitterStream, 0),
+  m.start = {da + 0.37 * l + p.shear * l * std::sin(turn * db / n) + p.jitter * noise(kJitterStream, 0),
              db + 0.21 * l + p.jitter * noise(kJitterStream, 1),
              l * p.offset + wave + p.jitter * noise(kJitterStream, 2)};
   const double drive =
@@ -216,52 +347,91 @@ Motion lattice_vertex(const Parameters& p, int l, std::int64_t a, std::int64_t b
   return m;
 }
 
-void settle(EdgeMesh& mesh, std::int64_t vertices, const DrawVertex& draw) {
-  const std::size_t n = static_cast<std::size_t>(vertices), m = mesh.edges.size();
-  mesh.x0.resize(n);
-  mesh.x1.resize(n);
+namespace {
+
+/// Primitives of a mesh: corners of each one after the other; without corners, the vertices themselves.
+struct Group {
+  std::int64_t count;
+  int each;
+  const std::int32_t* corners;
+
+  std::int32_t corner(std::size_t item, int k) const {
+    if (corners == nullptr) return static_cast<std::int32_t>(item);
+    return corners[static_cast<std::size_t>(each) * item + static_cast<std::size_t>(k)];
+  }
+};
+
+using Positions = std::vector<std::array<float, 3>>;
+
+// Draws all vertices, and again those that `redraw(i, j, round)` names of an ambiguous pair of `asking` item
+// i and `others` item j, until no pair is ambiguous. Where the groups are one, i < j.
+template <class Ambiguous, class Redraw>
+void settle_pairs(Positions& x0, Positions& x1, std::int64_t vertices, const DrawVertex& draw,
+                  const Group& asking, const Group& others, float margin, Ambiguous&& ambiguous_pair,
+                  Redraw&& redraw) {
+  const std::size_t n = static_cast<std::size_t>(vertices);
+  const bool one_group = asking.corners == others.corners;
+  x0.resize(n);
+  x1.resize(n);
   std::vector<int> attempt(n, 0);
   std::vector<char> moved(n, 1);
-  std::vector<Box> boxes(m);
+  const auto box_of = [&](const Group& group, std::size_t item, float wider) {
+    Box box;
+    for (std::size_t d = 0; d < 3; ++d) {
+      const std::size_t first = static_cast<std::size_t>(group.corner(item, 0));
+      box.low[d] = box.high[d] = x0[first][d];
+      for (int k = 0; k < group.each; ++k) {
+        const std::size_t v = static_cast<std::size_t>(group.corner(item, k));
+        box.low[d] = std::min({box.low[d], x0[v][d], x1[v][d]});
+        box.high[d] = std::max({box.high[d], x0[v][d], x1[v][d]});
+      }
+      box.low[d] -= wider;
+      box.high[d] += wider;
+    }
+    return box;
+  };
+  const auto touched = [&](const Group& group, std::size_t item) {
+    for (int k = 0; k < group.each; ++k) {
+      if (moved[static_cast<std::size_t>(group.corner(item, k))]) return true;
+    }
+    return false;
+  };
+  const auto share_a_vertex = [&](std::size_t i, std::size_t j) {
+    for (int k = 0; k < asking.each; ++k) {
+      for (int l = 0; l < others.each; ++l) {
+        if (asking.corner(i, k) == others.corner(j, l)) return true;
+      }
+    }
+    return false;
+  };
+  std::vector<Box> boxes(static_cast<std::size_t>(others.count));
   for (int round = 0; round < 100; ++round) {
     parallel_for(vertices, [&](std::int64_t i) {
       const std::size_t v = static_cast<std::size_t>(i);
       if (!moved[v]) return;
       const Motion motion = draw(i, attempt[v]);
       for (std::size_t d = 0; d < 3; ++d) {
-        mesh.x0[v][d] = static_cast<float>(motion.start[d]);
-        mesh.x1[v][d] = static_cast<float>(motion.end[d]);
+        x0[v][d] = static_cast<float>(motion.start[d]);
+        x1[v][d] = static_cast<float>(motion.end[d]);
       }
     });
-    for (std::size_t e = 0; e < m; ++e) {
-      const std::size_t a = static_cast<std::size_t>(mesh.edges[e][0]);
-      const std::size_t b = static_cast<std::size_t>(mesh.edges[e][1]);
-      for (std::size_t d = 0; d < 3; ++d) {
-        boxes[e].low[d] = std::min({mesh.x0[a][d], mesh.x0[b][d], mesh.x1[a][d], mesh.x1[b][d]});
-        boxes[e].high[d] = std::max({mesh.x0[a][d], mesh.x0[b][d], mesh.x1[a][d], mesh.x1[b][d]});
-      }
-    }
-    if (m == 0) return;
+    if (others.count == 0) return;
+    for (std::size_t e = 0; e < boxes.size(); ++e) boxes[e] = box_of(others, e, 0);
     const Columns columns(boxes);
-    const auto touched = [&](std::size_t e) {
-      return moved[static_cast<std::size_t>(mesh.edges[e][0])] ||
-             moved[static_cast<std::size_t>(mesh.edges[e][1])];
-    };
     const auto bad = std::make_unique<std::atomic<char>[]>(n);
     std::atomic<bool> any = false;
-    parallel_for(static_cast<std::int64_t>(m), [&](std::int64_t index) {
+    parallel_for(asking.count, [&](std::int64_t index) {
       const std::size_t i = static_cast<std::size_t>(index);
-      if (!touched(i)) return;
-      columns.candidates(boxes[i], [&](std::size_t j) {
-        if (i == j || (j < i && touched(j)) || !overlap(boxes[i], boxes[j])) return;
-        const auto [a, b] = mesh.edges[i];
-        const auto [c, d] = mesh.edges[j];
-        if (a == c || a == d || b == c || b == d) return;
-        if (ambiguous(pair_motion(mesh, std::min(i, j), std::max(i, j)))) {
-          // In turn each of the four: where one end lies on the other edge, moving the wrong vertex is no
-          // cure.
-          const auto& edge = mesh.edges[round % 4 < 2 ? std::min(i, j) : std::max(i, j)];
-          bad[static_cast<std::size_t>(edge[static_cast<std::size_t>(round % 2)])] = 1;
+      const bool asks = touched(asking, i);
+      if (one_group && !asks) return;
+      const Box box = box_of(asking, i, margin);
+      columns.candidates(box, [&](std::size_t j) {
+        if (one_group && (i == j || (j < i && touched(others, j)))) return;
+        if (!overlap(box, boxes[j]) || share_a_vertex(i, j)) return;
+        if (!one_group && !asks && !touched(others, j)) return;
+        const std::size_t first = one_group ? std::min(i, j) : i, second = one_group ? std::max(i, j) : j;
+        if (ambiguous_pair(first, second)) {
+          bad[static_cast<std::size_t>(redraw(first, second, round))] = 1;
           any = true;
         }
       });
@@ -272,7 +442,96 @@ void settle(EdgeMesh& mesh, std::int64_t vertices, const DrawVertex& draw) {
       attempt[v] += bad[v];
     }
   }
-  throw Error(ExitCode::internal, "cloth_sheets: ambiguous edge pairs remain after 100 rounds");
+  throw Error(ExitCode::internal, "cloth_sheets: ambiguous pairs remain after 100 rounds");
+}
+
+}  // namespace
+
+void settle(EdgeMesh& mesh, std::int64_t vertices, const DrawVertex& draw) {
+  const Group edges{static_cast<std::int64_t>(mesh.edges.size()), 2,
+                    mesh.edges.empty() ? nullptr : mesh.edges.front().data()};
+  settle_pairs(
+      mesh.x0, mesh.x1, vertices, draw, edges, edges, 0,
+      [&](std::size_t i, std::size_t j) { return ambiguous(pair_motion(mesh, i, j)); },
+      // In turn each of the four: where one end lies on the other edge, moving the wrong vertex is no cure.
+      [&](std::size_t i, std::size_t j, int round) {
+        return edges.corner(round % 4 < 2 ? i : j, round % 2);
+      });
+}
+
+void settle(Mesh& mesh, std::int64_t vertices, double d, const DrawVertex& draw) {
+  const int corners = mesh.corners;
+  const Group points{vertices, 1, nullptr};
+  const Group others = corners == 1 ? points
+                                    : Group{static_cast<std::int64_t>(mesh.primitives.size()) / corners,
+                                            corners, mesh.primitives.data()};
+  const auto seen = [&](const std::vector<std::array<float, 3>>& x, std::int32_t from, std::int32_t to) {
+    return minus(wide(x[static_cast<std::size_t>(to)]), wide(x[static_cast<std::size_t>(from)]));
+  };
+  const auto ambiguous_pair = [&](std::size_t i, std::size_t j) {
+    const std::int32_t vertex = static_cast<std::int32_t>(i), a = others.corner(j, 0);
+    const Point w0 = seen(mesh.x0, a, vertex), w1 = seen(mesh.x1, a, vertex);
+    if (corners == 1) return contact_ambiguous(w0, w1, d);
+    const std::int32_t b = others.corner(j, 1);
+    const Point u0 = seen(mesh.x0, a, b), u1 = seen(mesh.x1, a, b);
+    if (corners == 2) return contact_ambiguous(EdgeAndVertex{u0, w0, u1, w1, d});
+    const std::int32_t c = others.corner(j, 2);
+    const PairMotion p{u0, seen(mesh.x0, a, c), w0, u1, seen(mesh.x1, a, c), w1};
+    return coplanarity_ambiguous(p, [&](double t) { return p.depth_in_triangle(t); });
+  };
+  settle_pairs(mesh.x0, mesh.x1, vertices, draw, points, others,
+               corners == 3 ? 1e-4f : static_cast<float>(1.01 * d), ambiguous_pair,
+               [&](std::size_t i, std::size_t j, int round) {
+                 const int turn = round % (corners + 1);
+                 return turn == 0 ? static_cast<std::int32_t>(i) : others.corner(j, turn - 1);
+               });
+}
+
+Mesh sheet_mesh(const Parameters& p, int corners, double d) {
+  const std::int64_t n = p.n, per_sheet = n * n, vertices = kSheets * per_sheet;
+  const std::vector<std::int64_t> vertex_at = random_order(p.seed, kVertexOrderStream, vertices);
+  Mesh mesh;
+  mesh.corners = corners;
+  if (corners > 1) {
+    std::vector<std::int32_t> place(vertex_at.size());
+    for (std::size_t i = 0; i < vertex_at.size(); ++i)
+      place[static_cast<std::size_t>(vertex_at[i])] = static_cast<std::int32_t>(i);
+    std::vector<std::array<std::int32_t, 3>> lattice;
+    for (int l = 0; l < kSheets; ++l) {
+      for (std::int64_t a = 0; a < n; ++a) {
+        for (std::int64_t b = 0; b < n; ++b) {
+          const auto vertex = [&](std::int64_t da, std::int64_t db) {
+            return place[static_cast<std::size_t>(l * per_sheet + (a + da) * n + b + db)];
+          };
+          const bool below = a + 1 < n, right = b + 1 < n;
+          if (corners == 2) {
+            if (below) lattice.push_back({vertex(0, 0), vertex(1, 0), 0});
+            if (right) lattice.push_back({vertex(0, 0), vertex(0, 1), 0});
+            if (below && right) lattice.push_back({vertex(0, 0), vertex(1, 1), 0});
+          } else if (below && right) {
+            lattice.push_back({vertex(0, 0), vertex(1, 0), vertex(1, 1)});
+            lattice.push_back({vertex(0, 0), vertex(1, 1), vertex(0, 1)});
+          }
+        }
+      }
+    }
+    for (const std::int64_t e :
+         random_order(p.seed, kEdgeOrderStream, static_cast<std::int64_t>(lattice.size()))) {
+      std::array<std::int32_t, 3> c = lattice[static_cast<std::size_t>(e)];
+      // One of the orders of the corners: which comes first, and whether the others are exchanged.
+      const std::uint64_t bits = random_bits(p.seed, kFlipStream, static_cast<std::uint64_t>(e));
+      if (corners == 3)
+        std::rotate(c.begin(), c.begin() + static_cast<std::ptrdiff_t>((bits >> 3) % 3), c.end());
+      if (bits >> 63)
+        std::swap(c[static_cast<std::size_t>(corners - 2)], c[static_cast<std::size_t>(corners - 1)]);
+      mesh.primitives.insert(mesh.primitives.end(), c.begin(), c.begin() + corners);
+    }
+  }
+  settle(mesh, vertices, d, [&](std::int64_t v, int attempt) {
+    const std::int64_t id = vertex_at[static_cast<std::size_t>(v)];
+    return lattice_vertex(p, static_cast<int>(id / per_sheet), id / n % n, id % n, attempt);
+  });
+  return mesh;
 }
 
 EdgeMesh edge_mesh(const Parameters& p) {

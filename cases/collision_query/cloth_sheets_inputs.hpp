@@ -18,6 +18,7 @@ struct Parameters {
   double phase_step = 0.7;     ///< its phase from sheet to sheet, rad
   double drive_period = 40;    ///< period of the motion along z, in vertices
   double jitter = 0.06;        ///< noise of the start positions, m
+  double shear = 0;  ///< amplitude of a shift along x that varies along y, times the sheet's number, m
 };
 
 constexpr int kSheets = 4;
@@ -49,6 +50,22 @@ void settle(EdgeMesh& mesh, std::int64_t vertices, const DrawVertex& draw);
 /// The sheets with their lattice edges (along a, along b, along a + b): vertices and edges in random order,
 /// the ends of an edge in random order, ambiguous events removed.
 EdgeMesh edge_mesh(const Parameters&);
+
+/// A moving mesh of vertices, and of edges (2 corners) or triangles (3 corners) that they are tested against;
+/// with 1 corner the vertices are tested against each other. Positions rounded to float32.
+struct Mesh {
+  int corners = 1;
+  std::vector<std::array<float, 3>> x0, x1;
+  std::vector<std::int32_t> primitives;  ///< corners of each, one after the other; none for 1 corner
+};
+
+/// As settle() above, for the events of ccd_vv, ccd_ve or ccd_vf by the number of corners ("Inputs" of their
+/// specifications). `d`: the distance of contact, not used for triangles.
+void settle(Mesh& mesh, std::int64_t vertices, double d, const DrawVertex& draw);
+
+/// The sheets with their lattice edges or with two triangles for each square, all in random order, corners of
+/// a primitive as well; ambiguous events removed.
+Mesh sheet_mesh(const Parameters&, int corners, double d);
 
 /// Random order of `count` items under `seed`: the item at each place.
 std::vector<std::int64_t> random_order(std::uint64_t seed, std::uint64_t stream, std::int64_t count);

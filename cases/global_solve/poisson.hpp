@@ -5,7 +5,7 @@
 // A solver may use the input buffers as scratch memory, as in the paper.
 #pragma once
 
-#include "core/contract.hpp"
+#include "core/contract/contract.hpp"
 
 namespace gpuphys::poisson {
 

@@ -8,7 +8,7 @@
 #include <vector>
 
 #include "cases/global_solve/poisson_inputs.hpp"
-#include "core/task.hpp"
+#include "core/contract/task.hpp"
 
 namespace gpuphys::poisson_dirichlet {
 namespace {

@@ -5,7 +5,7 @@
 #include <algorithm>
 #include <numeric>
 
-#include "core/random.hpp"
+#include "core/generators/random.hpp"
 
 namespace gpuphys::poisson {
 namespace {

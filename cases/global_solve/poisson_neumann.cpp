@@ -8,8 +8,8 @@
 #include <vector>
 
 #include "cases/global_solve/poisson_inputs.hpp"
+#include "core/contract/task.hpp"
 #include "core/generators/cut_cell_cylinder.hpp"
-#include "core/task.hpp"
 
 namespace gpuphys::poisson_neumann {
 namespace {

@@ -7,9 +7,9 @@
 #include <limits>
 #include <numeric>
 
-#include "core/comparators.hpp"
-#include "core/parallel.hpp"
-#include "core/random.hpp"
+#include "core/base/parallel.hpp"
+#include "core/generators/random.hpp"
+#include "core/judge/comparators.hpp"
 
 namespace gpuphys::poisson {
 namespace {

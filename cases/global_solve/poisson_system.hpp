@@ -9,8 +9,8 @@
 #include <vector>
 
 #include "cases/global_solve/poisson.hpp"
-#include "core/arrays.hpp"
-#include "core/task.hpp"
+#include "core/contract/arrays.hpp"
+#include "core/contract/task.hpp"
 
 namespace gpuphys::poisson {
 

@@ -2,7 +2,7 @@
 #include <fmt/format.h>
 
 #include "cases/grid_lattice/mac_advection_inputs.hpp"
-#include "core/comparators.hpp"
+#include "core/judge/comparators.hpp"
 
 namespace gpuphys::advect_mc {
 namespace {

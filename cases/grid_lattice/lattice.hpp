@@ -4,7 +4,7 @@
 // time step 1). The velocities, their order and weights are listed in the tasks' specifications.
 #pragma once
 
-#include "core/contract.hpp"
+#include "core/contract/contract.hpp"
 
 namespace gpuphys::lattice {
 

@@ -7,12 +7,12 @@
 #include <limits>
 #include <numbers>
 
-#include "core/comparators.hpp"
-#include "core/error.hpp"
+#include "core/base/error.hpp"
+#include "core/base/parallel.hpp"
 #include "core/generators/abc_flow.hpp"
+#include "core/generators/random.hpp"
 #include "core/judge/checks.hpp"
-#include "core/parallel.hpp"
-#include "core/random.hpp"
+#include "core/judge/comparators.hpp"
 
 namespace gpuphys::lattice {
 namespace {

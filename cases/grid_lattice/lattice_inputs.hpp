@@ -7,7 +7,7 @@
 #include <string>
 #include <vector>
 
-#include "core/task.hpp"
+#include "core/contract/task.hpp"
 
 namespace gpuphys::lattice {
 

@@ -5,7 +5,7 @@
 // (i, j+1/2, k+1/2) dx, uy[i,j,k] at (i+1/2, j, k+1/2) dx and uz[i,j,k] at (i+1/2, j+1/2, k) dx.
 #pragma once
 
-#include "core/contract.hpp"
+#include "core/contract/contract.hpp"
 
 namespace gpuphys::mac_advection {
 

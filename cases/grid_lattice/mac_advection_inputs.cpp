@@ -8,9 +8,9 @@
 #include <limits>
 
 #include "cases/grid_lattice/mac_advection.hpp"
-#include "core/comparators.hpp"
 #include "core/generators/fourier_velocity.hpp"
-#include "core/random.hpp"
+#include "core/generators/random.hpp"
+#include "core/judge/comparators.hpp"
 
 namespace gpuphys::mac_advection {
 namespace {

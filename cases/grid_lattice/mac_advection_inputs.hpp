@@ -5,7 +5,7 @@
 #include <string>
 #include <vector>
 
-#include "core/task.hpp"
+#include "core/contract/task.hpp"
 
 namespace gpuphys::mac_advection {
 

@@ -10,9 +10,10 @@
 #include <vector>
 
 #include "cases/local_interaction/grain_inputs.hpp"
+#include "core/contract/task.hpp"
+#include "core/generators/random.hpp"
 #include "core/judge/checks.hpp"
-#include "core/random.hpp"
-#include "core/task.hpp"
+#include "core/judge/comparators.hpp"
 
 namespace gpuphys::contact_dem {
 namespace {

@@ -1,7 +1,7 @@
 // Contract of contact_dem (specification: cases/local_interaction/contact_dem.md).
 #pragma once
 
-#include "core/contract.hpp"
+#include "core/contract/contract.hpp"
 
 namespace gpuphys::contact_dem {
 

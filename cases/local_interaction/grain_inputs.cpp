@@ -3,13 +3,13 @@
 #include <algorithm>
 #include <utility>
 
-#include "core/parallel.hpp"
-#include "core/random.hpp"
+#include "core/base/parallel.hpp"
+#include "core/generators/random.hpp"
 
 namespace gpuphys::grains {
 namespace {
 
-constexpr std::uint64_t kJitter = 0, kRadius = 1, kNoise = 2, kOrder = 99;
+constexpr std::uint64_t kJitter = 0, kRadius = 1, kNoise = 2, kSpin = 3, kOrder = 99;
 
 }  // namespace
 
@@ -31,6 +31,7 @@ std::vector<Grain> packing(const Packing& p) {
     for (std::size_t c = 0; c < 3; ++c) {
       g.x[c] = p.corner[c] + point[c] + p.jitter * uniform11(p.seed, kJitter, 3 * item + c);
       g.v[c] = p.noise * uniform11(p.seed, kNoise, 3 * item + c);
+      g.omega[c] = p.spin * uniform11(p.seed, kSpin, 3 * item + c);
     }
     g.v[0] += p.shear * point[2];
     g.radius = p.smallest + (p.largest - p.smallest) * uniform01(p.seed, kRadius, item);

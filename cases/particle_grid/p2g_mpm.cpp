@@ -7,9 +7,10 @@
 #include <functional>
 
 #include "cases/particle_grid/particle_blocks.hpp"
+#include "core/contract/task.hpp"
+#include "core/generators/random.hpp"
 #include "core/judge/checks.hpp"
-#include "core/random.hpp"
-#include "core/task.hpp"
+#include "core/judge/comparators.hpp"
 
 namespace gpuphys::p2g_mpm {
 namespace {

@@ -3,7 +3,7 @@
 
 #include <cstdint>
 
-#include "core/contract.hpp"
+#include "core/contract/contract.hpp"
 
 namespace gpuphys::p2g_mpm {
 

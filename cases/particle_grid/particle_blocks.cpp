@@ -4,9 +4,9 @@
 #include <cmath>
 #include <numbers>
 
+#include "core/base/parallel.hpp"
 #include "core/generators/fourier_velocity.hpp"
-#include "core/parallel.hpp"
-#include "core/random.hpp"
+#include "core/generators/random.hpp"
 
 namespace gpuphys::particle_blocks {
 namespace {

@@ -6,7 +6,7 @@
 #include <cstdint>
 #include <vector>
 
-#include "core/arrays.hpp"
+#include "core/contract/arrays.hpp"
 
 namespace gpuphys::particle_blocks {
 

@@ -5,8 +5,8 @@
 #include <numbers>
 #include <utility>
 
-#include "core/parallel.hpp"
-#include "core/random.hpp"
+#include "core/base/parallel.hpp"
+#include "core/generators/random.hpp"
 
 namespace gpuphys::position_constraint {
 namespace {

@@ -9,9 +9,9 @@
 
 #include "cases/position_constraint/cloth_inputs.hpp"
 #include "cases/position_constraint/spring_inputs.hpp"
-#include "core/comparators.hpp"
-#include "core/random.hpp"
-#include "core/task.hpp"
+#include "core/contract/task.hpp"
+#include "core/generators/random.hpp"
+#include "core/judge/comparators.hpp"
 
 namespace gpuphys::solve_constraint_xpbd {
 namespace {

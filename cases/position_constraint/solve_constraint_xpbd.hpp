@@ -1,7 +1,7 @@
 // Contract of solve_constraint_xpbd (specification: cases/position_constraint/solve_constraint_xpbd.md).
 #pragma once
 
-#include "core/contract.hpp"
+#include "core/contract/contract.hpp"
 
 namespace gpuphys::solve_constraint_xpbd {
 

@@ -6,7 +6,7 @@
 #include <cmath>
 #include <limits>
 
-#include "core/comparators.hpp"
+#include "core/judge/comparators.hpp"
 
 namespace gpuphys::position_constraint {
 namespace {

@@ -3,21 +3,21 @@
 
 #include <CLI/CLI.hpp>
 #include <memory>
-#include <optional>
 
+#include "core/base/host_info.hpp"
+#include "core/base/text.hpp"
+#include "core/contract/hdf5_io.hpp"
+#include "core/contract/task.hpp"
 #include "core/driver/context.hpp"
-#include "core/hdf5_io.hpp"
-#include "core/host_info.hpp"
-#include "core/judge.hpp"
-#include "core/results.hpp"
-#include "core/task.hpp"
-#include "core/truth_cache.hpp"
+#include "core/judge/judge.hpp"
+#include "core/records/results.hpp"
 
 namespace gpuphys {
 namespace {
 
 struct CheckOptions {
   std::string task, set, outputs, inputs, label;
+  double timeout_s = 600;
 };
 
 void check(Context& ctx, const CheckOptions& o) {
@@ -32,26 +32,29 @@ void check(Context& ctx, const CheckOptions& o) {
   own.kind = SetKind::open;
   own.size = Size::smoke;
   const InputSet& set = o.set.empty() ? own : task.set(o.set);
-  const Problem problem = o.set.empty() ? read_problem(o.inputs, task) : set.make();
 
   const FileInfo info = read_info(o.outputs);
   if (!o.set.empty() && !info.set.empty() && info.set != o.set) {
     throw Error(ExitCode::bad_input, fmt::format("'{}': it says that it belongs to input set '{}', not '{}'",
-                                                 o.outputs, info.set, o.set));
+                                                 printable(o.outputs), printable(info.set), o.set));
   }
+  if (!o.label.empty() && role_of(o.label) != "user")
+    throw Error(ExitCode::usage,
+                fmt::format("label '{}' belongs to a module of the suite: choose another", o.label));
+  const Prepared inputs =
+      o.set.empty() ? prepare_own(ctx.workplace(o.timeout_s), task, set, read_problem(o.inputs, task))
+                    : prepare(ctx.workplace(), task, set, wants_truth(task, set));
+  const Problem& problem = inputs.problem;
   CallReport report;
   report.outputs = read_arrays(o.outputs, task, problem);
   inspect_outputs(report);
 
-  std::optional<Arrays> truth;
-  if (wants_truth(task, set)) {
-    truth =
-        obtain_truth(task, set, problem, set.known_solution ? "" : ctx.module_path(task.name, "baseline_f64"),
-                     ctx.truth_root);
-  }
   RunResult result;
   result.task = task.name;
-  result.lane = "cpu";
+  result.lane = "user";
+  result.run = new_run_id();
+  result.inputs = inputs.inputs_digest;
+  result.truth = inputs.truth_digest;
   result.label = o.label.empty() ? "file" : o.label;
   result.role = "user";
   result.set = set.name;
@@ -59,20 +62,14 @@ void check(Context& ctx, const CheckOptions& o) {
   result.size = to_string(set.size);
   result.device = host_name();
   result.started = utc_now();
-  judge_call(task, set, problem, truth ? &*truth : nullptr, report, nullptr, result);
-  fmt::print("{} {} {}: {}{}\n{}", task.name, o.outputs, set.name, to_string(result.state),
+  judge_call(task, set, problem, inputs.truth_or_null(), report, nullptr, result);
+  fmt::print("{} {} {}: {}{}\n{}", task.name, printable(o.outputs), set.name, to_string(result.state),
              result.state_detail.empty() ? "" : " - " + result.state_detail, check_table(result));
   for (const FaultResult& f : result.faults) fmt::print("    fault {}: {}\n", f.fault, f.detail);
   for (const auto& [array, gap] : result.truth_gap) {
     fmt::print("    relative L2 distance of {} to the FP64 truth: {:.3g}\n", array, gap);
   }
-  if (!o.label.empty()) {
-    if (identify(o.label, task.name, ctx.source_root + "/mutants").role != "user") {
-      throw Error(ExitCode::usage,
-                  fmt::format("label '{}' belongs to a module of the suite: choose another", o.label));
-    }
-    write_result(ctx.results_root, result);
-  }
+  if (!o.label.empty()) write_result(ctx.results_root, result);
   if (result.state == RunState::fault) ctx.exit_code = ExitCode::module_fault;
   if (result.state == RunState::fail) ctx.exit_code = ExitCode::check_failed;
 }
@@ -87,6 +84,10 @@ void add_check_command(CLI::App& app, Context& ctx) {
   command->add_option("--outputs", o->outputs, "HDF5 file with the task's outputs")->required();
   command->add_option("--set", o->set, "Input set that they were computed from");
   command->add_option("--inputs", o->inputs, "HDF5 file of inputs that they were computed from");
+  command
+      ->add_option("--timeout", o->timeout_s, "Seconds that the FP64 baseline may take for one's own inputs")
+      ->check(CLI::Range(0.001, 86400.0))
+      ->capture_default_str();
   command->add_option("--label", o->label, "Keep the result under this name, for verdict and report");
   command->footer(
       "The file needs one dataset for each output, of the contract's type and shape (`gpuphys list --task "

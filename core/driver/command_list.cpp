@@ -6,11 +6,11 @@
 #include <memory>
 #include <nlohmann/json.hpp>
 
+#include "core/contract/task.hpp"
 #include "core/driver/context.hpp"
 #include "core/driver/inventory.hpp"
 #include "core/driver/table.hpp"
-#include "core/judge.hpp"
-#include "core/task.hpp"
+#include "core/judge/judge.hpp"
 
 namespace gpuphys {
 namespace {

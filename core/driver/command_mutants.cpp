@@ -5,10 +5,10 @@
 #include <algorithm>
 #include <memory>
 
-#include "core/analysis.hpp"
 #include "core/driver/context.hpp"
 #include "core/driver/inventory.hpp"
 #include "core/driver/table.hpp"
+#include "core/report/analysis.hpp"
 
 namespace gpuphys {
 
@@ -33,7 +33,7 @@ void add_mutants_command(CLI::App& app, Context& ctx) {
       "  gpuphys mutants --task advect_rk2\n"
       "  gpuphys mutants --csv > kills.csv\n");
   command->callback([o, &ctx] {
-    const ResultSet results = gather_newest_results(ctx.results_root, ctx.records_root(), o->gpu);
+    const ResultSet results = gather_results(ctx, o->gpu);
     Table csv({"task", "lane", "mutant", "class", "expected_check", "sparse", "check", "ratio",
                "killed_everywhere"});
     std::vector<std::string> trouble;

@@ -10,12 +10,13 @@
 #include <memory>
 #include <nlohmann/json.hpp>
 
-#include "core/analysis.hpp"
+#include "core/base/files.hpp"
+#include "core/base/progress.hpp"
+#include "core/base/version.hpp"
 #include "core/driver/context.hpp"
 #include "core/driver/inventory.hpp"
-#include "core/files.hpp"
-#include "core/progress.hpp"
-#include "core/version.hpp"
+#include "core/records/results_json.hpp"
+#include "core/report/analysis.hpp"
 
 extern char** environ;
 
@@ -70,8 +71,8 @@ std::string interface_text(const Contract& contract) {
   return text;
 }
 
-json task_json(const ResultSet& results, const Task& task, const std::string& source_root) {
-  const Verdict v = full_verdict(results, task, {}, source_root);
+json task_json(const Context& ctx, const ResultSet& results, const Task& task) {
+  const Verdict v = full_verdict(ctx, results, task, {});
   json window_list = json::array(), kills = json::array(), hard = json::array(), timing = json::array(),
        issue_list = json::array();
   for (const CheckWindow& w : windows(results, task.name)) {
@@ -139,6 +140,7 @@ json task_json(const ResultSet& results, const Task& task, const std::string& so
   for (const TimingResult& t : results.timings) {
     if (t.task != task.name) continue;
     json j = to_json(t);
+    j.erase("module");
     j["origin"] = t.origin;
     timing.push_back(j);
   }
@@ -196,13 +198,13 @@ void execute(std::vector<std::string> words) {
 }
 
 void report(Context& ctx, const ReportOptions& o) {
-  const ResultSet results = gather_newest_results(ctx.results_root, ctx.records_root(), o.gpu);
+  const ResultSet results = gather_results(ctx, o.gpu);
   const std::vector<const Task*> tasks = select_tasks(o.tasks);
   Progress progress("report", static_cast<std::int64_t>(tasks.size()));
   json data = {{"schema", kResultSchema}, {"suite_version", kSuiteVersion},   {"created", utc_now()},
                {"tasks", json::array()},  {"unreadable", results.unreadable}, {"notes", results.notes}};
   for (const Task* task : tasks) {
-    data["tasks"].push_back(task_json(results, *task, ctx.source_root));
+    data["tasks"].push_back(task_json(ctx, results, *task));
     progress.step(task->name);
   }
   const std::string file = (std::filesystem::path(o.output) / "report.json").string();

@@ -5,11 +5,11 @@
 #include <cmath>
 #include <memory>
 
-#include "core/analysis.hpp"
+#include "core/contract/task.hpp"
 #include "core/driver/context.hpp"
 #include "core/driver/inventory.hpp"
 #include "core/driver/table.hpp"
-#include "core/task.hpp"
+#include "core/report/analysis.hpp"
 
 namespace gpuphys {
 namespace {
@@ -72,7 +72,7 @@ void add_tolerance_command(CLI::App& app, Context& ctx) {
     if (o->check.empty() != std::isnan(o->value))
       throw Error(ExitCode::usage, "--check and --value belong together");
     if (!o->check.empty() && o->task.empty()) throw Error(ExitCode::usage, "--check needs --task");
-    const ResultSet results = gather_newest_results(ctx.results_root, ctx.records_root(), o->gpu);
+    const ResultSet results = gather_results(ctx, o->gpu);
     if (o->check.empty()) return print_windows(results, all);
 
     const WhatIf w = what_if(results, o->task, o->check, o->value);

@@ -5,10 +5,9 @@
 #include <cstring>
 #include <memory>
 
+#include "core/base/host_info.hpp"
 #include "core/driver/context.hpp"
-#include "core/host_info.hpp"
-#include "core/judge.hpp"
-#include "core/truth_cache.hpp"
+#include "core/judge/judge.hpp"
 
 namespace gpuphys {
 namespace {
@@ -31,13 +30,12 @@ Arrays outputs_holding(const Task& task, const Problem& problem, const Arrays& s
 
 void run(Context& ctx, const std::string& name) {
   const Task& task = find_task(name);
-  const std::string baseline = ctx.module_path(task.name, "baseline_f64");
   const InputSet& set = task.set("public_smoke");
-  const Problem problem = set.make();
-  const Arrays truth = obtain_truth(task, set, problem, baseline, ctx.truth_root);
-  const InputSet& other = task.set("hidden_smoke");
-  const Problem other_problem = other.make();
-  const Arrays other_truth = obtain_truth(task, other, other_problem, baseline, ctx.truth_root);
+  const Prepared inputs = prepare(ctx.workplace(), task, set, true);
+  const Problem& problem = inputs.problem;
+  const Arrays& truth = inputs.truth;
+  const Prepared other = prepare(ctx.workplace(), task, task.set("hidden_smoke"), true);
+  const Arrays& other_truth = other.truth;
 
   struct Attempt {
     std::string label, about;

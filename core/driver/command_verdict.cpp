@@ -9,10 +9,10 @@
 #include <string>
 #include <vector>
 
-#include "core/analysis.hpp"
 #include "core/driver/context.hpp"
 #include "core/driver/inventory.hpp"
 #include "core/driver/table.hpp"
+#include "core/report/analysis.hpp"
 
 namespace gpuphys {
 namespace {
@@ -90,12 +90,12 @@ Table csv_table(const std::vector<Verdict>& verdicts) {
 
 void verdicts(Context& ctx, const VerdictOptions& o) {
   const Lanes lanes{.cpu = o.lane != "gpu", .gpu = o.lane != "cpu"};
-  const ResultSet results = gather_newest_results(ctx.results_root, ctx.records_root(), o.gpu);
+  const ResultSet results = gather_results(ctx, o.gpu);
   std::vector<Verdict> all;
   std::map<std::string, int> states;
   std::map<std::string, std::vector<std::string>> recorded;  // tasks by GPU
   for (const Task* task : select_tasks(o.tasks)) {
-    Verdict v = full_verdict(results, *task, lanes, ctx.source_root);
+    Verdict v = full_verdict(ctx, results, *task, lanes);
     if (const std::string slug = record_slug(results, task->name); lanes.gpu && !slug.empty())
       recorded[slug].push_back(task->name);
     ++states[v.state];

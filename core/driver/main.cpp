@@ -2,36 +2,30 @@
 #include <fmt/format.h>
 
 #include <CLI/CLI.hpp>
+#include <cerrno>
+#include <cmath>
 #include <cstdio>
 #include <cstdlib>
+#include <cstring>
 #include <filesystem>
 #include <new>
+#include <system_error>
 
+#include "core/base/text.hpp"
+#include "core/base/version.hpp"
 #include "core/driver/context.hpp"
-#include "core/judge.hpp"
-#include "core/version.hpp"
 
 namespace gpuphys {
 
-std::string Context::module_path(const std::string& task, const std::string& name) const {
-  if (is_module_path(name)) {
-    if (!std::filesystem::exists(name))
-      throw Error(ExitCode::unknown_name, fmt::format("module '{}' does not exist", name));
-    return name;
-  }
-  const std::filesystem::path folder = std::filesystem::path(modules_root) / task;
-  const std::filesystem::path path = folder / (name + ".so");
-  if (std::filesystem::exists(path)) return path.string();
-  std::string built;
-  if (std::filesystem::is_directory(folder)) {
-    for (const auto& entry : std::filesystem::directory_iterator(folder))
-      built += " " + entry.path().stem().string();
-  }
-  throw Error(ExitCode::unknown_name, fmt::format("no module '{}' of task '{}' in {}; built are:{}", name,
-                                                  task, folder.string(), built.empty() ? " none" : built));
-}
-
 namespace {
+
+int lost_output(const std::string& why) {
+  try {
+    fmt::print(stderr, "gpuphys: standard output cannot be written: {}\n", why);
+  } catch (const std::system_error&) {
+  }
+  return static_cast<int>(ExitCode::output_lost);
+}
 
 int run(int argc, char** argv) {
   CLI::App app{"Regression and tolerance validation for the GPUPhysBench tasks."};
@@ -54,11 +48,14 @@ int run(int argc, char** argv) {
   ctx.source_root = from_environment("GPUPHYS_SOURCE_DIR", GPUPHYS_SOURCE_DIR);
   ctx.modules_root = build + "/modules";
   ctx.results_root = build + "/results";
-  ctx.truth_root = build + "/truth";
+  ctx.build_root = build;
+  ctx.store_root = build + "/store";
+  ctx.runner = from_environment("GPUPHYS_RUNNER", (build + "/gpuphys-runner").c_str());
   app.add_option("--results", ctx.results_root, "Folder of results")->capture_default_str();
   app.add_option("--modules", ctx.modules_root, "Folder of the modules built with the suite")
       ->capture_default_str();
-  app.add_option("--truth", ctx.truth_root, "Folder in which FP64 truths are kept")->capture_default_str();
+  app.add_option("--store", ctx.store_root, "Folder of made inputs and truths that memory has no room for")
+      ->capture_default_str();
   app.fallthrough();
 
   add_list_command(app, ctx);
@@ -74,14 +71,17 @@ int run(int argc, char** argv) {
   add_check_records_command(app, ctx);
   add_trivial_command(app, ctx);
   add_ctest_file_command(app, ctx);
+  add_prepare_command(app, ctx);
+  add_store_command(app, ctx);
 
   try {
     app.parse(argc, argv);
   } catch (const CLI::ParseError& e) {
     return app.exit(e) == 0 ? 0 : static_cast<int>(ExitCode::usage);
   } catch (const Error& e) {
-    fmt::print(stderr, "gpuphys: {}\n", e.what());
-    if (e.code() == ExitCode::skipped && std::getenv("GPUPHYS_REQUIRE_GPU") != nullptr) {
+    fmt::print(stderr, "gpuphys: {}\n", printable(e.what(), 2000));
+    if (e.code() == ExitCode::skipped && std::getenv("GPUPHYS_REQUIRE_GPU") != nullptr &&
+        !app.got_subcommand("check-records")) {
       fmt::print(stderr, "gpuphys: GPUPHYS_REQUIRE_GPU is set: a missing GPU is a failure\n");
       return static_cast<int>(ExitCode::cuda_error);
     }
@@ -89,10 +89,14 @@ int run(int argc, char** argv) {
   } catch (const std::bad_alloc&) {
     fmt::print(stderr, "gpuphys: out of host memory\n");
     return static_cast<int>(ExitCode::out_of_memory);
+  } catch (const std::system_error& e) {  // fmt throws it when a line cannot be written
+    return lost_output(e.what());
   } catch (const std::exception& e) {
     fmt::print(stderr, "gpuphys: internal error: {}\n", e.what());
     return static_cast<int>(ExitCode::internal);
   }
+  // A verdict that nobody could read is none.
+  if (std::fflush(stdout) != 0 || std::ferror(stdout) != 0) return lost_output(std::strerror(errno));
   return static_cast<int>(ctx.exit_code);
 }
 

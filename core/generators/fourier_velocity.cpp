@@ -3,8 +3,8 @@
 #include <cmath>
 #include <numbers>
 
-#include "core/parallel.hpp"
-#include "core/random.hpp"
+#include "core/base/parallel.hpp"
+#include "core/generators/random.hpp"
 
 namespace gpuphys {
 namespace {

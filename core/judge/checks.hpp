@@ -17,8 +17,8 @@
 #include <string>
 #include <vector>
 
-#include "core/comparators.hpp"
-#include "core/task.hpp"
+#include "core/contract/task.hpp"
+#include "core/judge/comparators.hpp"
 
 namespace gpuphys {
 

@@ -24,7 +24,7 @@ import jinja2  # noqa: E402
 import matplotlib.pyplot as plt  # noqa: E402
 from matplotlib import ticker  # noqa: E402
 
-SCHEMA = 1
+SCHEMA = 2
 
 # Colours that stay apart for colour-blind readers (Okabe and Ito); every one goes with a marker or a word of its own.
 BLUE, ORANGE, GREEN, SKY, PURPLE, GREY = "#0072B2", "#D55E00", "#009E73", "#56B4E9", "#CC79A7", "#6b6b6b"

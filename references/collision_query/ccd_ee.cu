@@ -19,7 +19,7 @@
 // What bounds it: instructions of `impacts`, and random sectors from L2 in `count` and `place`. Of the
 // paper's public input 9.1 M pairs of boxes overlap, 6.1 M of them of edges with a vertex in common. The
 // diagonal leaves 0.6 M of the other 3.0 M, the coarse scale of the tile makes that 0.7 M; 0.39 M have an
-// event (counted on the host). references/collision_query/NOTES.md has the predictions stage by stage and
+// event (counted on the host). docs/lab/collision_query.md has the predictions stage by stage and
 // what was measured.
 #include <algorithm>
 #include <cstddef>
@@ -27,8 +27,8 @@
 #include <stdexcept>
 
 #include "cases/collision_query/ccd_ee.hpp"
+#include "references/blocks/swept_boxes.cuh"
 #include "references/collision_query/cubic_toi.cuh"
-#include "references/collision_query/swept_broad_phase.cuh"
 #include "references/common/device_buffer.cuh"
 #include "references/common/primitives.hpp"
 
@@ -42,7 +42,6 @@ using collision::Grid;
 using collision::Moving;
 using collision::SceneSums;
 using collision::SweptBox;
-using collision::operator-;
 
 struct Policy {
 #ifdef GPUPHYS_OTHER_BLOCKS
@@ -60,12 +59,9 @@ struct Policy {
   static constexpr float large_over_extent = 4.0f;
 #endif
   static constexpr int edge_blocks_of_sm = 2048 / edge_threads;
-  static constexpr int edge_blocks =
-      132 * edge_blocks_of_sm;               // at most, each thread then takes several edges
   static constexpr int large_chunk = 1024;   // candidates of a large box that a warp takes at a time
   static constexpr int resident_warps = 24;  // of `impacts` on an SM: 80 registers a thread
   static constexpr int impact_threads = 32 * warps;
-  static constexpr int resident_blocks = 132 * resident_warps / warps;
 };
 
 constexpr unsigned kAllLanes = 0xffffffffu;
@@ -92,8 +88,12 @@ __device__ __forceinline__ EdgeMotion motion_of(const Mesh& mesh, int2 ends) {
           position(mesh.x1, ends.y)};
 }
 
+__device__ __forceinline__ collision::Points<4> points_of(const EdgeMotion& e) {
+  return {
+      {e.a0.x, e.b0.x, e.a1.x, e.b1.x}, {e.a0.y, e.b0.y, e.a1.y, e.b1.y}, {e.a0.z, e.b0.z, e.a1.z, e.b1.z}};
+}
 __device__ __forceinline__ CompactBox box_of(const Diagonal& diagonal, const EdgeMotion& e) {
-  return collision::compact_box(diagonal, e.a0, e.b0, e.a1, e.b1);
+  return collision::compact_box(diagonal, points_of(e));
 }
 
 // Sums and the number of tiles taken stand before the counts, so that one memset clears all. The alignment
@@ -153,8 +153,7 @@ __global__ void __launch_bounds__(Policy::edge_threads, Policy::edge_blocks_of_s
     // One edge of each `step`, not always the same one of them: edges may come in a pattern.
     const int e =
         k * step + static_cast<int>(static_cast<unsigned>(k) * 2654435769u % static_cast<unsigned>(step));
-    const EdgeMotion sample = motion_of(mesh, mesh.edges[e]);
-    collision::add_extents(extents, sample.a0, sample.b0, sample.a1, sample.b1);
+    collision::add_extents(extents, points_of(motion_of(mesh, mesh.edges[e])));
   }
 #pragma unroll
   for (int k = 0; k < collision::kExtents; ++k) {
@@ -253,27 +252,16 @@ struct PairMotion {
 };
 
 __device__ __forceinline__ PairMotion relative(const EdgeMotion& p, const EdgeMotion& q) {
-  const auto moving = [](float3 from0, float3 to0, float3 from1, float3 to1) {
-    const float3 start = to0 - from0;
-    return Moving{start, (to1 - from1) - start};
-  };
-  return {moving(p.a0, p.b0, p.a1, p.b1), moving(q.a0, q.b0, q.a1, q.b1), moving(p.a0, q.a0, p.a1, q.a1)};
+  return {collision::relative(p.a0, p.b0, p.a1, p.b1), collision::relative(q.a0, q.b0, q.a1, q.b1),
+          collision::relative(p.a0, q.a0, p.a1, q.a1)};
 }
 
-// Whether the point where the lines of two coplanar edges cross lies on both of them.
-using collision::operator*;
-__device__ __forceinline__ bool meet(float3 u, float3 v, float3 w) {
-  // In units in which u and v are about 1 long.
-  const float of_u = collision::scale_of(collision::largest_of(u));
-  const float of_v = collision::scale_of(collision::largest_of(v));
-  u = of_u * u;
-  v = of_v * v;
-  const float3 n = collision::cross(u, v);
-  const float nn = collision::dot(n, n);
-  const float s = collision::dot(collision::cross(of_u * w, v), n);  // times nn
-  const float r = collision::dot(collision::cross(of_v * w, u), n);
-  const bool crossing = nn > 1e-12f * (collision::dot(u, u) * collision::dot(v, v));
-  return crossing && s >= 0.0f && s <= nn && r >= 0.0f && r <= nn;
+// Whether the point where the lines of two coplanar edges cross lies on both of them. `u_over_w` and
+// `v_over_w`: a metre in the units of u and v over one in those of w.
+__device__ __forceinline__ bool meet(float3 u, float3 v, float3 w, float u_over_w, float v_over_w) {
+  const collision::Fractions at = collision::fractions(w, u, v);
+  const float s = u_over_w * at.s, r = v_over_w * -at.r;  // w = s u - r v
+  return !at.parallel && s >= 0.0f && s <= at.nn && r >= 0.0f && r <= at.nn;
 }
 
 // What a warp keeps in shared memory: candidates, of which up to 31 wait, and the pairs to resolve.
@@ -297,10 +285,12 @@ __device__ __noinline__ void resolve(const Scratch& s, float* toi, bool mine, in
     const bool swap = f < e;
     const EdgeMotion p = motion_of(s, swap ? int2{vertices.z, vertices.w} : int2{vertices.x, vertices.y});
     const EdgeMotion q = motion_of(s, swap ? int2{vertices.x, vertices.y} : int2{vertices.z, vertices.w});
-    const PairMotion r = relative(p, q);
+    PairMotion r = relative(p, q);
+    const float u_unit = collision::normalise(r.u), v_unit = collision::normalise(r.v);
+    const float w_unit = collision::normalise(r.w), u_over_w = u_unit / w_unit, v_over_w = v_unit / w_unit;
     const Cubic volume = collision::triple_product(r.w, r.u, r.v);
-    const float t =
-        collision::first_crossing(volume, [&](float at) { return meet(r.u.at(at), r.v.at(at), r.w.at(at)); });
+    const float t = collision::first_crossing(
+        volume, [&](float at) { return meet(r.u.at(at), r.v.at(at), r.w.at(at), u_over_w, v_over_w); });
     if (t < 1.0f) {
       record(toi, e, t);
       record(toi, f, t);
@@ -657,6 +647,7 @@ class Reference {
     records_ = DeviceBuffer<float4>(2 * count);
     scan_bytes_ = primitives::exclusive_sum_bytes(cells_ + 1);
     scan_ = DeviceBuffer<unsigned char>(scan_bytes_);
+    multiprocessors_ = static_cast<unsigned>(collision::multiprocessors());
   }
 
   void compute(const Inputs& in, const Outputs<float>& out) {
@@ -674,8 +665,9 @@ class Reference {
                     m};
     GPUPHYS_CUDA(cudaMemsetAsync(counters_.get(), 0,
                                  sizeof(std::int32_t) * static_cast<std::size_t>(kHeadWords + cells_ + 1)));
-    const auto at_most = [](unsigned blocks) {
-      return std::min(blocks, static_cast<unsigned>(Policy::edge_blocks));
+    const auto at_most = [this](unsigned blocks) {
+      // Beyond, a thread takes several edges.
+      return std::min(blocks, multiprocessors_ * static_cast<unsigned>(Policy::edge_blocks_of_sm));
     };
     const std::int64_t halves = 2 * static_cast<std::int64_t>(m);
     pack<<<at_most(blocks_for(2 * static_cast<std::int64_t>(std::max(n, m)), Policy::edge_threads)),
@@ -684,14 +676,15 @@ class Reference {
     primitives::exclusive_sum(scan_.get(), scan_bytes_, s.starts, s.starts, cells_ + 1);
     place<<<blocks_for(halves, Policy::edge_threads), Policy::edge_threads>>>(s);
     // A warp takes tile after tile.
-    const unsigned blocks =
-        std::min(blocks_for(m, 32 * Policy::warps), static_cast<unsigned>(Policy::resident_blocks));
+    const unsigned resident = multiprocessors_ * (Policy::resident_warps / Policy::warps);
+    const unsigned blocks = std::min(blocks_for(m, 32 * Policy::warps), resident);
     impacts<<<blocks, Policy::impact_threads>>>(s, out.toi.data);
   }
 
  private:
   static constexpr std::int64_t kHeadWords = sizeof(Head) / sizeof(std::int32_t);
 
+  unsigned multiprocessors_ = 0;
   std::int64_t cells_ = 0;
   std::size_t scan_bytes_ = 0;
   DeviceBuffer<std::int32_t> counters_;

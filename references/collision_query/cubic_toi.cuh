@@ -1,5 +1,9 @@
 // When four moving points become coplanar: the triple product w . (u x v) of vectors that move linearly over
 // the step is a cubic in time, here isolated into monotone pieces and bisected.
+//
+// Any lengths will do: vectors are brought to size 1 by powers of two, which round nothing, before they are
+// multiplied, and so are the cubic's coefficients before they are squared. All lengths being as they are, a
+// coordinate of 1e6 m would leave the range of float32 in the discriminant, and one of 1e-8 m likewise.
 #pragma once
 
 #include <cuda_runtime.h>
@@ -16,32 +20,37 @@ __device__ __forceinline__ float3 cross(float3 a, float3 b) {
   return {a.y * b.z - a.z * b.y, a.z * b.x - a.x * b.z, a.x * b.y - a.y * b.x};
 }
 
-__device__ __forceinline__ float3 operator*(float s, float3 a) {
-  return {s * a.x, s * a.y, s * a.z};
-}
-__device__ __forceinline__ float largest_of(float3 a) {
-  return fmaxf(fmaxf(fabsf(a.x), fabsf(a.y)), fabsf(a.z));
-}
-
-/// The power of two that brings a length to between 1 and 2 (nearer to it only, beyond 2^-100 and 2^100):
-/// products of six lengths, and their squares, stay within float32.
-__device__ __forceinline__ float scale_of(float length) {
-  const int exponent = min(max(__float_as_int(length) >> 23, 27), 227);
-  return __int_as_float((254 - exponent) << 23);
-}
-
 /// A vector from `start` at t = 0 that changes by `change` until t = 1.
 struct Moving {
   float3 start, change;
   __device__ __forceinline__ float3 at(float t) const {
     return {start.x + t * change.x, start.y + t * change.y, start.z + t * change.z};
   }
-  /// The same in a unit in which it is about 1 long.
-  __device__ __forceinline__ Moving scaled() const {
-    const float scale = scale_of(fmaxf(largest_of(start), largest_of(change)));
-    return {scale * start, scale * change};
-  }
 };
+
+/// The power of two that brings `largest` (not negative) into [1, 2).
+__device__ __forceinline__ float to_unit(float largest) {
+  const unsigned exponent = max(__float_as_uint(largest) >> 23, 1u);
+  return __uint_as_float((254u - min(exponent, 253u)) << 23);
+}
+__device__ __forceinline__ float largest_coordinate(float3 a) {
+  return fmaxf(fmaxf(fabsf(a.x), fabsf(a.y)), fabsf(a.z));
+}
+
+/// Where `to` is, seen from `from`: differences of given positions come first, then their change.
+__device__ __forceinline__ Moving relative(float3 from0, float3 to0, float3 from1, float3 to1) {
+  const float3 start = to0 - from0;
+  return {start, (to1 - from1) - start};
+}
+
+/// Scales a vector, or what is larger, to a largest coordinate near 1 over the step; returns the factor, a
+/// power of two.
+__device__ __forceinline__ float normalise(Moving& v, float larger = 0.0f) {
+  const float unit = to_unit(fmaxf(fmaxf(largest_coordinate(v.start), largest_coordinate(v.change)), larger));
+  v = {{unit * v.start.x, unit * v.start.y, unit * v.start.z},
+       {unit * v.change.x, unit * v.change.y, unit * v.change.z}};
+  return unit;
+}
 
 /// c0 + c1 t + c2 t^2 + c3 t^3.
 struct Cubic {
@@ -49,10 +58,14 @@ struct Cubic {
   __device__ __forceinline__ float at(float t) const { return c0 + t * (c1 + t * (c2 + t * c3)); }
 };
 
-/// w(t) . (u(t) x v(t)), but for a positive factor.
-__device__ __forceinline__ Cubic triple_product(const Moving& w_any, const Moving& u_any,
-                                                const Moving& v_any) {
-  const Moving w = w_any.scaled(), u = u_any.scaled(), v = v_any.scaled();
+/// The cubic by a positive factor that makes its largest coefficient about 1.
+__device__ __forceinline__ Cubic normalised(const Cubic& f) {
+  const float unit = to_unit(fmaxf(fmaxf(fabsf(f.c0), fabsf(f.c1)), fmaxf(fabsf(f.c2), fabsf(f.c3))));
+  return {unit * f.c0, unit * f.c1, unit * f.c2, unit * f.c3};
+}
+
+/// w(t) . (u(t) x v(t)) of normalised vectors, up to a factor that makes its largest coefficient about 1.
+__device__ __forceinline__ Cubic triple_product(const Moving& w, const Moving& u, const Moving& v) {
   const float3 n0 = cross(u.start, v.start), n2 = cross(u.change, v.change);
   const float3 p = cross(u.start, v.change), q = cross(u.change, v.start);
   const float3 n1 = {p.x + q.x, p.y + q.y, p.z + q.z};
@@ -61,19 +74,31 @@ __device__ __forceinline__ Cubic triple_product(const Moving& w_any, const Movin
   f.c1 = dot(w.start, n1) + dot(w.change, n0);
   f.c2 = dot(w.start, n2) + dot(w.change, n1);
   f.c3 = dot(w.change, n2);
-  return f;
+  return normalised(f);
+}
+
+/// Where three coplanar vectors satisfy w = s u + r v: s and r as numerators over |N|^2, N = u x v.
+struct Fractions {
+  float s, r, nn;
+  bool parallel;
+};
+__device__ __forceinline__ Fractions fractions(float3 w, float3 u, float3 v) {
+  const float3 n = cross(u, v);
+  const float nn = dot(n, n);
+  return {dot(cross(w, v), n), dot(cross(u, w), n), nn, !(nn > 1e-12f * (dot(u, u) * dot(v, v)))};
 }
 
 constexpr int kBisections = 30;
 
-/// The change of sign of f in [low, high], on which it is monotone and whose ends differ in sign.
-__device__ __forceinline__ float bisect(const Cubic& f, float low, float high, bool from_below) {
+/// Where `before(t)`, true at `low` and false at `high`, changes.
+template <class Before>
+__device__ __forceinline__ float bisect(Before&& before, float low, float high) {
 #pragma unroll 6
   for (int step = 0; step < kBisections; ++step) {
     const float middle = 0.5f * (low + high);
-    const bool below = f.at(middle) < 0.0f;
-    low = below == from_below ? middle : low;
-    high = below == from_below ? high : middle;
+    const bool go_on = before(middle);
+    low = go_on ? middle : low;
+    high = go_on ? high : middle;
   }
   return 0.5f * (low + high);
 }
@@ -105,7 +130,8 @@ __device__ __forceinline__ float first_crossing(const Cubic& f, Accept&& accept)
     const bool in_first = (pieces & 1u) != 0, in_second = (pieces & 3u) == 2u;
     const float low = in_first ? 0.0f : in_second ? first : second;
     const float high = in_first ? first : in_second ? second : 1.0f;
-    const float t = bisect(f, low, high, in_first ? below0 : in_second ? below1 : below2);
+    const bool from_below = in_first ? below0 : in_second ? below1 : below2;
+    const float t = bisect([&](float at) { return (f.at(at) < 0.0f) == from_below; }, low, high);
     if (accept(t)) {
       impact = t;
       break;

@@ -5,7 +5,7 @@
 #include <cstddef>
 #include <utility>
 
-#include "core/module.hpp"
+#include "core/contract/module.hpp"
 
 namespace gpuphys {
 

@@ -3,7 +3,7 @@
 #include <cub/device/device_radix_sort.cuh>
 #include <cub/device/device_scan.cuh>
 
-#include "core/module.hpp"
+#include "core/contract/module.hpp"
 
 namespace gpuphys::primitives {
 

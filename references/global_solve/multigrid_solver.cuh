@@ -16,7 +16,7 @@
 #include <utility>
 #include <vector>
 
-#include "core/module.hpp"
+#include "core/contract/module.hpp"
 #include "references/common/device_buffer.cuh"
 #include "references/global_solve/multigrid_krylov.cuh"
 #include "references/global_solve/multigrid_tail.cuh"

@@ -15,7 +15,7 @@
 #include <cstdint>
 
 #include "cases/global_solve/poisson_neumann.hpp"
-#include "core/module.hpp"
+#include "core/contract/module.hpp"
 #include "references/global_solve/multigrid_solver.cuh"
 
 namespace gpuphys::poisson_neumann {

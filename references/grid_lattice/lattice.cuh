@@ -15,7 +15,7 @@
 #include <stdexcept>
 #include <type_traits>
 
-#include "core/module.hpp"
+#include "core/contract/module.hpp"
 
 namespace gpuphys::lbm {
 
@@ -153,10 +153,13 @@ struct Grid {
 };
 
 /// Throws when a cell's index would not fit in 31 bits.
-inline Grid make_grid(const View<const float, 4>& f) {
-  const std::int64_t cells = f.shape[1] * f.shape[2] * f.shape[3];
+inline Grid make_grid(std::int64_t nx, std::int64_t ny, std::int64_t nz) {
+  const std::int64_t cells = nx * ny * nz;
   if (cells >= (std::int64_t{1} << 31)) throw std::runtime_error("2^31 cells and more are not supported");
-  return {static_cast<int>(f.shape[1]), static_cast<int>(f.shape[2]), static_cast<int>(f.shape[3]), cells};
+  return {static_cast<int>(nx), static_cast<int>(ny), static_cast<int>(nz), cells};
+}
+inline Grid make_grid(const View<const float, 4>& f) {
+  return make_grid(f.shape[1], f.shape[2], f.shape[3]);
 }
 
 /// index + c on a periodic axis of n cells, |c| <= 1.
@@ -227,6 +230,19 @@ __device__ __forceinline__ void load_cells(const float* __restrict__ from, const
   });
 }
 
+/// Changes N neighbouring cells along z, the first of which is (i,j,k). A change that depends on the place
+/// takes all N at once.
+template <class Cell, int N, int Q>
+__device__ __forceinline__ void change_at(const Cell& change, float (&populations)[N][Q], int i, int j,
+                                          int k) {
+  if constexpr (requires { change(populations, i, j, k); }) {
+    change(populations, i, j, k);
+  } else {
+#pragma unroll
+    for (int n = 0; n < N; ++n) change(populations[n]);
+  }
+}
+
 /// One step where a block owns whole rows: thread threadIdx.x of blockDim.x = nz / N has N neighbouring cells
 /// of its row; threadIdx.y is one of blockDim.y neighbouring rows along y; blockIdx.y is x. Threads beyond
 /// the last row repeat it and store nothing.
@@ -242,8 +258,7 @@ __global__ void __launch_bounds__(Policy::threads, Policy::blocks_per_sm)
 
   float populations[N][L::Q];
   load_cells<L, N>(f + ((i * grid.ny + j) * grid.nz + k), grid.plane, populations);
-#pragma unroll
-  for (int n = 0; n < N; ++n) change(populations[n]);
+  change_at(change, populations, i, j, k);
 
   // Of the populations that change z, one leaves a thread's cells.
   unrolled<0, L::Q>([&](auto direction) {
@@ -290,7 +305,7 @@ __global__ void __launch_bounds__(Policy::threads)
   const int i = rows / grid.ny, j = rows - i * grid.ny;
   float populations[1][L::Q];
   load_cells<L, 1>(f + cell, grid.plane, populations);
-  change(populations[0]);
+  change_at(change, populations, i, j, k);
   unrolled<0, L::Q>([&](auto direction) {
     constexpr int q = decltype(direction)::value;
     const int to = target_row<L, q>(grid, i, j) + neighbour<L::c(q, 2)>(k, grid.nz);

@@ -13,7 +13,7 @@
 #include <cstdint>
 #include <stdexcept>
 
-#include "core/module.hpp"
+#include "core/contract/module.hpp"
 
 namespace gpuphys::mac {
 

@@ -5,7 +5,7 @@
 #include <vector>
 
 #include "cases/collision_query/ccd_ee.hpp"
-#include "core/module.hpp"
+#include "core/contract/module.hpp"
 #include "serial_baselines/collision_query/coplanarity.hpp"
 #include "serial_baselines/collision_query/swept_cells.hpp"
 
@@ -46,21 +46,13 @@ class Baseline {
     if (t < out.toi(e)) out.toi(e) = t;
   }
 
-  // Vertex `to` seen from vertex `from`.
-  static Moving<Real> relative(const Inputs& in, std::int32_t from, std::int32_t to) {
-    const auto difference = [&](View<const float, 2> x) {
-      return Vec3<Real>{static_cast<Real>(x(to, 0)) - static_cast<Real>(x(from, 0)),
-                        static_cast<Real>(x(to, 1)) - static_cast<Real>(x(from, 1)),
-                        static_cast<Real>(x(to, 2)) - static_cast<Real>(x(from, 2))};
-    };
-    const Vec3<Real> start = difference(in.x0);
-    return {start, difference(in.x1) - start};
-  }
-
   // 1 if there is none.
   static Real first_impact(const Inputs& in, std::int64_t i, std::int64_t j) {
     const std::int32_t a = in.edges(i, 0), b = in.edges(i, 1), c = in.edges(j, 0), d = in.edges(j, 1);
-    const Moving<Real> u = relative(in, a, b), v = relative(in, c, d), w = relative(in, a, c);
+    const auto relative = [&](std::int32_t from, std::int32_t to) {
+      return serial::relative_motion<Real>(in.x0, in.x1, from, to);
+    };
+    const Moving<Real> u = relative(a, b), v = relative(c, d), w = relative(a, c);
     Real impact = 1;
     serial::each_crossing(serial::triple_product(w, u, v), [&](Real t) {
       if (!meet(u.at(t), v.at(t), w.at(t))) return false;
@@ -72,15 +64,9 @@ class Baseline {
 
   // Does the point where the lines of two coplanar edges cross lie on both edges?
   static bool meet(Vec3<Real> u, Vec3<Real> v, Vec3<Real> w) {
-    // In units in which u and v are about 1 long: products of six lengths would leave the range of float32.
-    const Real of_u = serial::scale_of(u), of_v = serial::scale_of(v);
-    u = of_u * u;
-    v = of_v * v;
-    const Vec3<Real> n = cross(u, v);
-    const Real nn = dot(n, n);
-    if (nn <= Real(1e-12) * dot(u, u) * dot(v, v)) return false;
-    const Real s = dot(cross(of_u * w, v), n), r = dot(cross(of_v * w, u), n);  // times nn
-    return s >= 0 && s <= nn && r >= 0 && r <= nn;
+    const serial::Fractions<Real> at = serial::fractions(w, u, v);
+    const Real s = at.s_times, r = -at.r_times;  // w = s u - r v
+    return !at.parallel && s >= 0 && s <= at.nn && r >= 0 && r <= at.nn;
   }
 };
 

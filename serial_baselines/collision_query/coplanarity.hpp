@@ -4,6 +4,9 @@
 #include <algorithm>
 #include <array>
 #include <cmath>
+#include <cstdint>
+
+#include "core/contract/view.hpp"
 
 namespace gpuphys::serial {
 
@@ -23,25 +26,11 @@ Vec3<Real> cross(Vec3<Real> a, Vec3<Real> b) {
   return {a.y * b.z - a.z * b.y, a.z * b.x - a.x * b.z, a.x * b.y - a.y * b.x};
 }
 
-/// The power of two that brings the largest coordinate of the vectors to between 1 and 2; 1 if all are zero.
-template <class Real, class... More>
-Real scale_of(Vec3<Real> a, More... more) {
-  Real largest = 0;
-  for (const Vec3<Real>& v : {a, more...})
-    largest = std::max({largest, std::abs(v.x), std::abs(v.y), std::abs(v.z)});
-  return largest == 0 ? Real(1) : std::ldexp(Real(1), -std::ilogb(largest));
-}
-
 /// A vector that moves linearly over the step: start + t change.
 template <class Real>
 struct Moving {
   Vec3<Real> start, change;
   Vec3<Real> at(Real t) const { return start + t * change; }
-  /// The same in a unit in which it is about 1 long.
-  Moving scaled() const {
-    const Real scale = scale_of(start, change);
-    return {scale * start, scale * change};
-  }
 };
 
 /// c[0] + c[1] t + c[2] t^2 + c[3] t^3.
@@ -51,11 +40,40 @@ struct Cubic {
   Real at(Real t) const { return c[0] + t * (c[1] + t * (c[2] + t * c[3])); }
 };
 
-/// w(t) . (u(t) x v(t)), but for a positive factor: its coefficients may be squared whatever the unit of
-/// length.
+/// The exponent of the largest coordinate; of a vector of zeros, that of the shortest valid length.
 template <class Real>
-Cubic<Real> triple_product(const Moving<Real>& w_any, const Moving<Real>& u_any, const Moving<Real>& v_any) {
-  const Moving<Real> w = w_any.scaled(), u = u_any.scaled(), v = v_any.scaled();
+int exponent_of(Vec3<Real> a) {
+  const Real largest = std::max({std::abs(a.x), std::abs(a.y), std::abs(a.z)});
+  return largest > 0 ? std::ilogb(largest) : -60;
+}
+
+/// The vector times a power of two for which its largest coordinate over the step is near 1: products of
+/// scaled vectors neither overflow nor underflow. Powers of two round nothing.
+template <class Real>
+Moving<Real> scaled(const Moving<Real>& v) {
+  const Real unit = std::ldexp(Real(1), -std::max(exponent_of(v.start), exponent_of(v.start + v.change)));
+  return {unit * v.start, unit * v.change};
+}
+
+/// Vertex `to` seen from vertex `from`. Differences come first: neighbours' coordinates subtract exactly or
+/// nearly so.
+template <class Real>
+Moving<Real> relative_motion(View<const float, 2> x0, View<const float, 2> x1, std::int32_t from,
+                             std::int32_t to) {
+  const auto difference = [&](View<const float, 2> x) {
+    return Vec3<Real>{static_cast<Real>(x(to, 0)) - static_cast<Real>(x(from, 0)),
+                      static_cast<Real>(x(to, 1)) - static_cast<Real>(x(from, 1)),
+                      static_cast<Real>(x(to, 2)) - static_cast<Real>(x(from, 2))};
+  };
+  const Vec3<Real> start = difference(x0);
+  return {start, difference(x1) - start};
+}
+
+/// w(t) . (u(t) x v(t)), up to a positive factor.
+template <class Real>
+Cubic<Real> triple_product(const Moving<Real>& w_metres, const Moving<Real>& u_metres,
+                           const Moving<Real>& v_metres) {
+  const Moving<Real> w = scaled(w_metres), u = scaled(u_metres), v = scaled(v_metres);
   const Vec3<Real> n0 = cross(u.start, v.start);
   const Vec3<Real> n1 = cross(u.start, v.change) + cross(u.change, v.start);
   const Vec3<Real> n2 = cross(u.change, v.change);
@@ -67,12 +85,35 @@ Cubic<Real> triple_product(const Moving<Real>& w_any, const Moving<Real>& u_any,
   return f;
 }
 
+/// The fractions at which two coplanar vectors from one point span w = s u + r v: numerators and the common
+/// denominator |N|^2, N = u x v; scaled, so that s = s_times / nn and r = r_times / nn.
+template <class Real>
+struct Fractions {
+  Real s_times, r_times, nn;
+  bool parallel;  ///< |N|^2 <= 1e-12 |u|^2 |v|^2
+};
+template <class Real>
+Fractions<Real> fractions(Vec3<Real> w, Vec3<Real> u, Vec3<Real> v) {
+  const int at_u = exponent_of(u), at_v = exponent_of(v), at_w = exponent_of(w);
+  u = std::ldexp(Real(1), -at_u) * u;
+  v = std::ldexp(Real(1), -at_v) * v;
+  w = std::ldexp(Real(1), -at_w) * w;
+  const Vec3<Real> n = cross(u, v);
+  const Real nn = dot(n, n);
+  return {std::ldexp(dot(cross(w, v), n), at_w - at_u), std::ldexp(dot(cross(u, w), n), at_w - at_v), nn,
+          nn <= Real(1e-12) * dot(u, u) * dot(v, v)};
+}
+
 constexpr int kBisections = 30;
 
 /// Calls crossing(t) for every change of sign of f in [0, 1], in order of time, until it returns true. Zero
 /// counts as positive.
 template <class Real, class Crossing>
-void each_crossing(const Cubic<Real>& f, Crossing&& crossing) {
+void each_crossing(Cubic<Real> f, Crossing&& crossing) {
+  Real largest = 0;
+  for (const Real c : f.c) largest = std::max(largest, std::abs(c));
+  if (largest == 0) return;
+  for (Real& c : f.c) c *= std::ldexp(Real(1), -std::ilogb(largest));  // squares stay in range
   // The ends of the pieces on which f is monotone: 0, the zeros of f' in between, 1.
   std::array<Real, 4> ends{};
   std::size_t count = 1;

@@ -8,7 +8,7 @@
 #include <cstdint>
 #include <vector>
 
-#include "core/view.hpp"
+#include "core/contract/view.hpp"
 
 namespace gpuphys::serial {
 
@@ -31,7 +31,16 @@ SweptBox swept_box(View<const float, 2> x0, View<const float, 2> x1, const Verti
   return box;
 }
 
-/// Calls visit(i, j), i < j, once for every pair of boxes that overlap.
+/// The box, wider on each side by `margin`.
+inline SweptBox widened(SweptBox box, float margin) {
+  for (std::size_t d = 0; d < 3; ++d) {
+    box.low[d] -= margin;
+    box.high[d] += margin;
+  }
+  return box;
+}
+
+/// Finds pairs of boxes that overlap.
 class SweptCells {
  public:
   explicit SweptCells(std::vector<SweptBox> boxes) : boxes_(std::move(boxes)) {
@@ -72,12 +81,16 @@ class SweptCells {
     }
   }
 
+  /// Calls visit(i, j), i < j, once for every pair of boxes that overlap; with `groups` > 0 only for i <
+  /// groups <= j.
   template <class Visit>
-  void each_overlap(Visit&& visit) const {
+  void each_overlap(Visit&& visit, std::int64_t groups = 0) const {
     for (std::size_t c = 0; c + 1 < first_.size(); ++c) {
       for (std::int64_t p = first_[c]; p < first_[c + 1]; ++p) {
         for (std::int64_t q = p + 1; q < first_[c + 1]; ++q) {
+          // Items of a cell are in order.
           const std::int64_t i = items_[static_cast<std::size_t>(p)], j = items_[static_cast<std::size_t>(q)];
+          if (groups > 0 && (i >= groups || j < groups)) continue;
           const SweptBox &a = boxes_[static_cast<std::size_t>(i)], &b = boxes_[static_cast<std::size_t>(j)];
           std::array<double, 3> corner{};  // the lower corner of what they share
           bool overlap = true;

@@ -2,7 +2,7 @@
 // faces at which x is held at zero are in a_diag, so the equations of the active cells are all there is.
 #include "cases/global_solve/poisson_dirichlet.hpp"
 
-#include "core/module.hpp"
+#include "core/contract/module.hpp"
 #include "serial_baselines/global_solve/seven_point_system.hpp"
 
 namespace gpuphys::poisson_dirichlet {

@@ -5,7 +5,7 @@
 // without mean.
 #include "cases/global_solve/poisson_neumann.hpp"
 
-#include "core/module.hpp"
+#include "core/contract/module.hpp"
 #include "serial_baselines/global_solve/seven_point_system.hpp"
 
 namespace gpuphys::poisson_neumann {

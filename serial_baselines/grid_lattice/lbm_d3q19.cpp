@@ -2,7 +2,7 @@
 // its populations move. Built as FP64 truth and as FP32 variants (Real).
 #include "cases/grid_lattice/lbm_d3q19.hpp"
 
-#include "core/module.hpp"
+#include "core/contract/module.hpp"
 #include "serial_baselines/grid_lattice/lattice.hpp"
 
 namespace gpuphys::lbm_d3q19 {

@@ -11,7 +11,7 @@
 #include <cstdint>
 #include <utility>
 
-#include "core/module.hpp"
+#include "core/contract/module.hpp"
 
 namespace gpuphys::serial {
 

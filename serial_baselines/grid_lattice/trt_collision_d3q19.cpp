@@ -2,7 +2,7 @@
 // cell collides, and its populations stay. Built as FP64 truth and as FP32 variants (Real).
 #include "cases/grid_lattice/trt_collision_d3q19.hpp"
 
-#include "core/module.hpp"
+#include "core/contract/module.hpp"
 #include "serial_baselines/grid_lattice/lattice.hpp"
 
 namespace gpuphys::trt_collision_d3q19 {

@@ -7,7 +7,7 @@
 #include <cstdint>
 #include <vector>
 
-#include "core/view.hpp"
+#include "core/contract/view.hpp"
 
 namespace gpuphys::serial {
 

@@ -5,7 +5,7 @@
 #include <cmath>
 
 #include "cases/local_interaction/contact_dem.hpp"
-#include "core/module.hpp"
+#include "core/contract/module.hpp"
 #include "serial_baselines/local_interaction/cell_lists.hpp"
 
 namespace gpuphys::contact_dem {

@@ -6,7 +6,7 @@
 #include <cmath>
 #include <vector>
 
-#include "core/module.hpp"
+#include "core/contract/module.hpp"
 #include "serial_baselines/particle_grid/elasticity.hpp"
 #include "serial_baselines/particle_grid/quadratic_spline.hpp"
 

@@ -10,7 +10,7 @@
 #include <cmath>
 #include <vector>
 
-#include "core/module.hpp"
+#include "core/contract/module.hpp"
 
 namespace gpuphys::solve_constraint_xpbd {
 

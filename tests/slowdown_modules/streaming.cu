@@ -1,7 +1,7 @@
 // v = u + 1, one 16-byte word a thread, with GPUPHYS_SLOWDOWN_PERCENT per cent of the work: beyond 100 the
 // threads start over at the first word, which by then has left the cache, as a careless kernel would read it
 // again.
-#include "core/module.hpp"
+#include "core/contract/module.hpp"
 #include "tests/slowdown_modules/target.hpp"
 
 #ifndef GPUPHYS_SLOWDOWN_PERCENT

@@ -3,16 +3,13 @@
 
 #include <gtest/gtest.h>
 
-#include <algorithm>
 #include <array>
 #include <cmath>
 #include <cstdint>
-#include <numbers>
-#include <numeric>
 #include <string>
-#include <vector>
 
 #include "cases/local_interaction/contact_dem.hpp"
+#include "tests/grain_energy.hpp"
 #include "tests/run_module.hpp"
 
 namespace gpuphys::testing {
@@ -24,15 +21,10 @@ struct GrainTotals {
   double momentum_scale = 0, angular_scale = 0;  ///< sums of the sizes of the terms
 };
 
-inline double grain_mass(double radius) {
-  return 4.0 / 3.0 * std::numbers::pi * radius * radius * radius;
-}
-
 inline GrainTotals grain_totals(const Problem& p) {
   const auto in = bind_inputs<contact_dem::Inputs>(p);
   const std::int64_t n = in.radius.shape[0];
   GrainTotals t;
-  double largest = 0;
   const auto length = [](const std::array<double, 3>& a) { return std::hypot(a[0], a[1], a[2]); };
   for (std::int64_t i = 0; i < n; ++i) {
     const double m = grain_mass(in.radius(i));
@@ -49,27 +41,8 @@ inline GrainTotals grain_totals(const Problem& p) {
     }
     t.momentum_scale += m * length(v);
     t.angular_scale += m * length(x) * length(v);
-    largest = std::max(largest, static_cast<double>(in.radius(i)));
   }
-  // Contacts by a sweep along x. Elastic energy: the force kn sqrt(r*) overlap^1.5, integrated.
-  std::vector<std::int64_t> order(static_cast<std::size_t>(n));
-  std::iota(order.begin(), order.end(), std::int64_t{0});
-  std::sort(order.begin(), order.end(), [&](auto a, auto b) { return in.x(a, 0) < in.x(b, 0); });
-  for (std::size_t a = 0; a < order.size(); ++a) {
-    for (std::size_t b = a + 1; b < order.size(); ++b) {
-      const std::int64_t i = order[a], j = order[b];
-      std::array<double, 3> d;
-      for (std::size_t c = 0; c < 3; ++c) {
-        d[c] = static_cast<double>(in.x(i, c)) - static_cast<double>(in.x(j, c));
-      }
-      if (-d[0] > 2 * largest) break;
-      const double ri = in.radius(i), rj = in.radius(j), overlap = ri + rj - length(d);
-      if (overlap > 0) {
-        t.elastic +=
-            0.4 * static_cast<double>(in.kn) * std::sqrt(ri * rj / (ri + rj)) * std::pow(overlap, 2.5);
-      }
-    }
-  }
+  t.elastic = elastic_energy(in.x, in.radius, in.kn);
   return t;
 }
 
