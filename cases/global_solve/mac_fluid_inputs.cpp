@@ -7,8 +7,8 @@
 #include <memory>
 #include <numbers>
 
-#include "core/generators/cut_cell_cylinder.hpp"
 #include "core/base/parallel.hpp"
+#include "core/generators/cut_cell_cylinder.hpp"
 #include "core/generators/random.hpp"
 
 namespace gpuphys::mac_fluid {
@@ -144,7 +144,7 @@ void set_taylor_green(Problem& p, const Modes& modes) {
     Mode m;
     double along = 0, square = 0;
     for (std::size_t d = 0; d < 3; ++d) {
-      m.k[d] = 1 + static_cast<int>(16 * uniform01(modes.seed, 50 + d, item));
+      m.k[d] = 1 + static_cast<int>(modes.most * uniform01(modes.seed, 50 + d, item));
       m.a[d] = uniform11(modes.seed, 53 + d, item);
       along += m.a[d] * m.k[d] / cells[d];
       square += m.k[d] / cells[d] * (m.k[d] / cells[d]);
@@ -214,6 +214,12 @@ void set_taylor_green(Problem& p, const Modes& modes) {
   });
 }
 
+void scale_velocity(Problem& p, double factor) {
+  for (std::size_t c = 0; c < 3; ++c) {
+    for (float& v : p.inputs[c].as<float>()) v = static_cast<float>(factor * static_cast<double>(v));
+  }
+}
+
 InputSet cylinder_set(const std::string& name, SetKind kind, Size size, const Contract& contract, Extents n,
                       double radius, const Modes& modes,
                       std::vector<std::pair<std::string, double>> scalars) {
@@ -221,8 +227,8 @@ InputSet cylinder_set(const std::string& name, SetKind kind, Size size, const Co
   s.name = name;
   s.kind = kind;
   s.size = size;
-  s.about = fmt::format("{}x{}x{} cells, cylinder of radius {} nx, {} Taylor-Green modes, seed {}", n[0],
-                        n[1], n[2], radius, modes.count, modes.seed);
+  s.about = fmt::format("{}x{}x{} cells, cylinder of radius {} nx, {} Taylor-Green modes up to {}, seed {}",
+                        n[0], n[1], n[2], radius, modes.count, modes.most, modes.seed);
   s.make = [=] {
     Problem p = make_fluid(contract, n, cylinder(n, radius));
     for (const auto& [scalar, value] : scalars) p.set_scalar(scalar, value);

@@ -14,6 +14,7 @@
 #pragma once
 
 #include <cstdint>
+#include <type_traits>
 
 #include "core/contract/module.hpp"
 #include "references/common/device_buffer.cuh"
@@ -21,7 +22,11 @@
 
 namespace gpuphys::mac_systems {
 
-constexpr int kThreads = 256;
+#ifdef GPUPHYS_OTHER_BLOCKS
+constexpr int kThreads = 96;
+#else
+constexpr int kThreads = 256;  // per block
+#endif
 
 /// Arrays of a MAC grid: component c has one face more along axis c than there are cells.
 struct Grid {
@@ -142,6 +147,71 @@ void apply_viscosity(const Grid& g, const Open& open, const float* start, float 
   assemble_viscosity<C><<<blocks_for(g.cells()), kThreads>>>(g, open.w[C], start, alpha, buffers.system());
   buffers.solve(solver, tolerance);
   write_component<C><<<blocks_for(g.faces(C)), kThreads>>>(g, buffers.solution(), u);
+}
+
+/// Pressure: sum over the open faces of a cell w (q - q_n) = -(outflow of u), for a u that is finite on open
+/// faces. q is the pressure times dt / (rho dx): a difference of it is a velocity.
+__global__ void __launch_bounds__(kThreads)
+    assemble_pressure(const __grid_constant__ Grid g, const Open open, const float* __restrict__ ux,
+                      const float* __restrict__ uy, const float* __restrict__ uz, const System s) {
+  int entry, i, j, k;
+  if (!own_cell(g, entry, i, j, k)) return;
+  const float w[6] = {open_fraction<0>(g, open.w[0], i, j, k), open_fraction<0>(g, open.w[0], i + 1, j, k),
+                      open_fraction<1>(g, open.w[1], i, j, k), open_fraction<1>(g, open.w[1], i, j + 1, k),
+                      open_fraction<2>(g, open.w[2], i, j, k), open_fraction<2>(g, open.w[2], i, j, k + 1)};
+  const auto flow = [](float fraction, const float* at) {
+    return fraction > 0.0f ? fraction * __ldg(at) : 0.0f;
+  };
+  const float along_x = flow(w[1], ux + g.face(0, i + 1, j, k)) - flow(w[0], ux + g.face(0, i, j, k)),
+              along_y = flow(w[3], uy + g.face(1, i, j + 1, k)) - flow(w[2], uy + g.face(1, i, j, k)),
+              along_z = flow(w[5], uz + g.face(2, i, j, k + 1)) - flow(w[4], uz + g.face(2, i, j, k));
+  const float diagonal = (w[0] + w[1]) + (w[2] + w[3]) + (w[4] + w[5]);
+  s.diag[entry] = diagonal;
+  s.ax[entry] = 0.0f - w[1];
+  s.ay[entry] = 0.0f - w[3];
+  s.az[entry] = 0.0f - w[5];
+  s.b[entry] = 0.0f - (along_x + along_y + along_z);
+  s.active[entry] = diagonal > 0.0f;
+}
+
+/// Takes the gradient of q out of the open faces of component C; closed faces are at rest. `reflected`, if
+/// given, receives 2 (result) - (start).
+template <int C>
+__global__ void __launch_bounds__(kThreads)
+    subtract_gradient(const __grid_constant__ Grid g, const float* __restrict__ w,
+                      const float* __restrict__ q, const float* start, float* result, float* reflected) {
+  const int f = static_cast<int>(blockIdx.x * static_cast<unsigned>(kThreads) + threadIdx.x);
+  if (f >= g.faces(C)) return;
+  const int row = f / g.extent(C, 2), k = f - row * g.extent(C, 2), i = row / g.extent(C, 1),
+            j = row - i * g.extent(C, 1);
+  const bool open = open_fraction<C>(g, w, i, j, k) > 0.0f;
+  const float before = start[f];
+  float after = 0.0f;
+  if (open) {
+    const int above = (i * g.n[1] + j) * g.n[2] + k;
+    const int below = above - (C == 0 ? g.n[1] * g.n[2] : C == 1 ? g.n[2] : 1);
+    after = before - (__ldg(q + above) - __ldg(q + below));
+  }
+  result[f] = after;
+  if (reflected) reflected[f] = open ? 2.0f * after - before : 0.0f;
+}
+
+/// Projects `start` to `result`, which may be the same arrays; `reflected` null, or arrays for
+/// 2 (result) - (start).
+inline void project(const Grid& g, const Open& open, float* const (&start)[3], float tolerance,
+                    SystemBuffers& buffers, multigrid::Solver& solver, float* const (&result)[3],
+                    float* const* reflected = nullptr) {
+  assemble_pressure<<<blocks_for(g.cells()), kThreads>>>(g, open, start[0], start[1], start[2],
+                                                         buffers.system());
+  buffers.solve(solver, tolerance);
+  const auto finish = [&](auto component) {
+    constexpr int C = decltype(component)::value;
+    subtract_gradient<C><<<blocks_for(g.faces(C)), kThreads>>>(g, open.w[C], buffers.solution(), start[C],
+                                                               result[C], reflected ? reflected[C] : nullptr);
+  };
+  finish(std::integral_constant<int, 0>{});
+  finish(std::integral_constant<int, 1>{});
+  finish(std::integral_constant<int, 2>{});
 }
 
 }  // namespace gpuphys::mac_systems

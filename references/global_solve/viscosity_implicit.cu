@@ -9,6 +9,8 @@
 // What bounds it: the passes of the cycles over the fine grid, as in the Poisson tasks: three components of
 // three to four cycles each at the paper's tolerance; assembly and writing move 29 bytes per entry and
 // component. The host waits once per cycle, to decide whether another one is needed.
+//
+// GPUPHYS_OTHER_BLOCKS chooses other blocks for the kernels around the multigrid (mac_systems.cuh).
 #include "cases/global_solve/viscosity_implicit.hpp"
 
 #include "references/global_solve/mac_systems.cuh"

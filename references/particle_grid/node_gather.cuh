@@ -49,6 +49,7 @@ struct Local {
   float per_cell[3][3];  ///< [component][axis]
 };
 
+template <class Tile>
 __device__ __forceinline__ Local at_particle(const Tile& tile, const tiles::Placed& placed) {
   const tiles::Along3 x = along(placed.place[0]), y = along(placed.place[1]), z = along(placed.place[2]);
   const int lowest = Tile::lowest_of(placed.cell);

@@ -6,7 +6,7 @@
 // A cell without any of these has no equation and x = 0. Where an excess is zero on a whole component, x is
 // defined up to a constant there and b has to sum to zero on it.
 //
-// FP64 ignores the tolerance and refines to 1e-13 or stagnation (truth); FP32 stops at a quarter of the
+// FP64 ignores the tolerance and refines to 1e-13 or stagnation (truth); FP32 stops at 0.8 of the
 // tolerance or at stagnation.
 #pragma once
 
@@ -133,7 +133,7 @@ class BoxMultigrid {
     const Real scale = std::ldexp(Real(1), exponent);
     for (Real& v : b) v /= scale;
 
-    const Real goal = (kTruth ? Real(1e-13) : tolerance / 4) * norm(b);
+    const Real goal = (kTruth ? Real(1e-13) : Real(0.8) * tolerance) * norm(b);
     const Real reduction = kTruth ? Real(1e-14) : Real(1e-3);
     Values r(b), d(size), next(size);
     Real now = norm(r);

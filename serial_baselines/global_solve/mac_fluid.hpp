@@ -75,4 +75,75 @@ void apply_viscosity(const OpenFractions& w, Real alpha, Real tolerance, const s
   });
 }
 
+/// Storage for a velocity.
+template <class Real>
+class FaceStorage {
+ public:
+  explicit FaceStorage(const OpenFractions& w) {
+    for (std::size_t c = 0; c < 3; ++c) {
+      storage_[c].assign(static_cast<std::size_t>(w[c].size()), Real(0));
+      field_[c] = {storage_[c].data(), {w[c].shape[0], w[c].shape[1], w[c].shape[2]}};
+    }
+  }
+  const FaceField<Real>& field() const { return field_; }
+  std::array<View<const Real, 3>, 3> samples() const {
+    std::array<View<const Real, 3>, 3> views;
+    for (std::size_t c = 0; c < 3; ++c)
+      views[c] = {field_[c].data, {field_[c].shape[0], field_[c].shape[1], field_[c].shape[2]}};
+    return views;
+  }
+
+ private:
+  std::array<std::vector<Real>, 3> storage_;
+  FaceField<Real> field_;
+};
+
+/// Sets closed faces to zero.
+template <class Real>
+void close_faces(const OpenFractions& w, const FaceField<Real>& u) {
+  for (std::size_t c = 0; c < 3; ++c) {
+    each_index(u[c].shape, [&](std::int64_t i, std::int64_t j, std::int64_t k) {
+      if (!is_open(w, c, i, j, k)) u[c](i, j, k) = 0;
+    });
+  }
+}
+
+/// Takes the gradient out of u that its divergence asks for. `u` is zero on closed faces.
+template <class Real>
+void project(const OpenFractions& w, Real tolerance, const FaceField<Real>& u) {
+  const std::int64_t n[3] = {w[1].shape[0], w[0].shape[1], w[0].shape[2]};
+  BoxSystem<Real> system({n[0], n[1], n[2]});
+  std::vector<Real> b(system.size(), Real(0));
+  each_index(n, [&](std::int64_t i, std::int64_t j, std::int64_t k) {
+    const std::size_t cell = system.flat(i, j, k);
+    Real outflow = 0;
+    for (std::size_t d = 0; d < 3; ++d) {
+      std::int64_t at[3] = {i, j, k};
+      if (is_open(w, d, at[0], at[1], at[2]))
+        outflow -= static_cast<Real>(w[d](at[0], at[1], at[2])) * u[d](at[0], at[1], at[2]);
+      ++at[d];
+      if (is_open(w, d, at[0], at[1], at[2])) {
+        const Real open = static_cast<Real>(w[d](at[0], at[1], at[2]));
+        outflow += open * u[d](at[0], at[1], at[2]);
+        system.g[d][cell] = open;
+      }
+    }
+    b[cell] = -outflow;
+  });
+  BoxMultigrid<Real> multigrid(std::move(system));
+  const std::vector<Real> q = multigrid.solve(b, tolerance);
+  for (std::size_t d = 0; d < 3; ++d) {
+    each_index(u[d].shape, [&](std::int64_t i, std::int64_t j, std::int64_t k) {
+      if (!is_open(w, d, i, j, k)) return;
+      std::int64_t below[3] = {i, j, k};
+      --below[d];
+      const auto flat = [&](const std::int64_t* c) {
+        return static_cast<std::size_t>((c[0] * n[1] + c[1]) * n[2] + c[2]);
+      };
+      const std::int64_t above[3] = {i, j, k};
+      u[d](i, j, k) -= q[flat(above)] - q[flat(below)];
+    });
+  }
+}
+
 }  // namespace gpuphys::serial
