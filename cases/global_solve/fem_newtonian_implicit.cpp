@@ -15,8 +15,8 @@
 #include "cases/global_solve/newton_checks.hpp"
 #include "cases/local_interaction/elastic_hard_inputs.hpp"
 #include "cases/local_interaction/elastic_inputs.hpp"
-#include "core/generators/random.hpp"
 #include "core/contract/task.hpp"
+#include "core/generators/random.hpp"
 
 namespace gpuphys::fem_newtonian_implicit {
 namespace {
@@ -51,6 +51,12 @@ Deformation public_field() {
 }
 Deformation hidden_field() {
   return {.periods = 3, .strain = 0.07, .jitter = 0.04, .speed = 5, .noise = 0.12, .seed = 2};
+}
+
+// For a block of a fifth of the cells: the same wavelengths, so that a step deforms it as much.
+Deformation lengthened(Deformation f) {
+  f.periods /= 5;
+  return f;
 }
 
 InputSet block_set(std::string name, SetKind kind, Size size, std::array<std::int64_t, 3> cells,
@@ -278,23 +284,21 @@ std::vector<InputSet> hard_sets() {
 
 Task make_task() {
   Task t;
-  t.name = "fem_newtonian_implicit";
-  t.family = "global_solve";
   t.title = "Implicit step of Neo-Hookean tetrahedra by Newton's method";
   t.paper_number = 5;
   t.contract = describe<Inputs, Outputs<float>>();
   t.sets = {
       block_set("public", SetKind::open, Size::paper, {64, 64, 64}, public_field()),
       block_set("hidden", SetKind::hidden, Size::paper, {64, 64, 64}, hidden_field()),
-      block_set("public_smoke", SetKind::open, Size::smoke, {12, 9, 14}, public_field()),
-      block_set("hidden_smoke", SetKind::hidden, Size::smoke, {10, 13, 11}, hidden_field()),
+      block_set("public_smoke", SetKind::open, Size::smoke, {12, 9, 14}, lengthened(public_field())),
+      block_set("hidden_smoke", SetKind::hidden, Size::smoke, {10, 13, 11}, lengthened(hidden_field())),
   };
   for (InputSet& s : hard_sets()) t.sets.push_back(std::move(s));
   t.checks = {
       newton::residual_check(neo_hookean(), 1e-5),
       newton::velocity_check(6e-6),
       newton::local_residual_check(
-          neo_hookean(), 0.05,
+          neo_hookean(), 0.02,
           "the rms is at most a thousandth; a tetrahedron left out is of the size of one"),
       newton::velocity_units_check(),
       newton::free_particles_check("tets"),

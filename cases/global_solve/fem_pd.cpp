@@ -13,8 +13,8 @@
 
 #include "cases/local_interaction/elastic_hard_inputs.hpp"
 #include "cases/local_interaction/elastic_inputs.hpp"
-#include "core/generators/random.hpp"
 #include "core/contract/task.hpp"
+#include "core/generators/random.hpp"
 
 namespace gpuphys::fem_pd {
 namespace {
@@ -242,8 +242,6 @@ std::vector<InputSet> hard_sets() {
 
 Task make_task() {
   Task t;
-  t.name = "fem_pd";
-  t.family = "global_solve";
   t.title = "Step of corotated tetrahedra by projective dynamics";
   t.paper_number = 7;
   t.contract = describe<Inputs, Outputs<float>>();

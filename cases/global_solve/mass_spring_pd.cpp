@@ -11,8 +11,8 @@
 
 #include "cases/local_interaction/elastic_hard_inputs.hpp"
 #include "cases/local_interaction/elastic_inputs.hpp"
-#include "core/generators/random.hpp"
 #include "core/contract/task.hpp"
+#include "core/generators/random.hpp"
 
 namespace gpuphys::mass_spring_pd {
 namespace {
@@ -214,8 +214,6 @@ std::vector<InputSet> hard_sets() {
 
 Task make_task() {
   Task t;
-  t.name = "mass_spring_pd";
-  t.family = "global_solve";
   t.title = "Step of a mass-spring system by projective dynamics";
   t.paper_number = 6;
   t.contract = describe<Inputs, Outputs<float>>();
