@@ -111,6 +111,7 @@ void expect_neighbours(const Case& c) {
           const auto clamped = static_cast<std::int64_t>(std::min(std::max(key, -10.0), 1e6));
           low = low * c.extent[d] + clamp(clamped + Tiling::lowest, c.extent[d]);
           high = high * wide[d] + clamp(clamped + Tiling::highest, wide[d]);
+          EXPECT_LE(std::abs(place[d]), 0.5f) << c.about << ": particle " << p << " along " << d;
           if (std::abs(g) < 1e5) {
             const double nearest = std::floor(g + 0.5);
             EXPECT_NEAR(place[d], g - nearest, 4e-7) << c.about << ": particle " << p << " along " << d;
@@ -182,6 +183,45 @@ TYPED_TEST(TileGatherBlock, SpacingThatIsNoPowerOfTwo) {
     }
   }
   expect_neighbours<TypeParam>(c);
+}
+
+TYPED_TEST(TileGatherBlock, PlacesNearHalfCellsStayWithinHalfACell) {
+  // On both sides of k + 1/2 by rounding, where the quotient decides for either: places must not leave [-1/2,
+  // 1/2], and the place and the cell must agree. Samples along x differ by one from cell to cell, so the sum
+  // of lowest sample and place tells.
+  Case c{.about = "half cells of 0.1", .extent = {1000, 1, 1}, .x = {}, .dx = 0.1f};
+  for (int p = 0; p < 600; ++p) {
+    c.x.push_back(static_cast<float>((p + 0.5) * static_cast<double>(0.1f)));
+    c.x.push_back(0.01f);
+    c.x.push_back(0.01f);
+  }
+  const auto n = static_cast<std::int64_t>(c.x.size() / 3);
+  const TileGrid grid = make_tile_grid<TypeParam>(1000, 1, 1, c.dx);
+  std::vector<float> values(1000);
+  for (int i = 0; i < 1000; ++i) values[static_cast<std::size_t>(i)] = static_cast<float>(i);
+  DeviceBuffer<float> x(c.x.size()), samples(values.size());
+  GPUPHYS_CUDA(cudaMemcpy(x.get(), c.x.data(), c.x.size() * sizeof(float), cudaMemcpyHostToDevice));
+  GPUPHYS_CUDA(
+      cudaMemcpy(samples.get(), values.data(), values.size() * sizeof(float), cudaMemcpyHostToDevice));
+  Source source{{samples.get(), samples.get()}, {{1000, 1, 1}, {1000, 1, 1}}};
+  TileGather<TestPolicy<96, 64>, Probe<TypeParam>, TypeParam, Source> gather;
+  gather.allocate(grid, n);
+  gather.compute(grid, x.get(), n, source);
+  std::vector<int> slots(static_cast<std::size_t>(n));
+  std::vector<float4> results(static_cast<std::size_t>(4 * n));
+  GPUPHYS_CUDA(cudaMemcpy(slots.data(), gather.slots(), slots.size() * sizeof(int), cudaMemcpyDeviceToHost));
+  GPUPHYS_CUDA(
+      cudaMemcpy(results.data(), gather.results(), results.size() * sizeof(float4), cudaMemcpyDeviceToHost));
+  for (std::int64_t p = 3; p < n; ++p) {
+    const float4 a = results[static_cast<std::size_t>(4 * slots[static_cast<std::size_t>(p)])];
+    const double g = static_cast<double>(c.x[static_cast<std::size_t>(3 * p)]) / static_cast<double>(c.dx);
+    // The lowest sample is key + lowest; the key is the nearest whole number (less one if that lies above, or
+    // collocated).
+    const double key = static_cast<double>(a.x) - TypeParam::lowest;
+    const double nearest = !TypeParam::staggered || a.z < 0 ? key + 1 : key;
+    EXPECT_NEAR(nearest + static_cast<double>(a.z), g, 4e-7) << p;
+    EXPECT_LE(std::abs(a.z), 0.5f) << p;
+  }
 }
 
 }  // namespace

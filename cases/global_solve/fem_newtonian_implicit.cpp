@@ -15,8 +15,8 @@
 #include "cases/global_solve/newton_checks.hpp"
 #include "cases/local_interaction/elastic_hard_inputs.hpp"
 #include "cases/local_interaction/elastic_inputs.hpp"
-#include "core/generators/random.hpp"
 #include "core/contract/task.hpp"
+#include "core/generators/random.hpp"
 
 namespace gpuphys::fem_newtonian_implicit {
 namespace {

@@ -10,7 +10,6 @@
 #include "core/base/error.hpp"
 #include "core/base/parallel.hpp"
 #include "core/generators/abc_flow.hpp"
-#include "core/base/parallel.hpp"
 #include "core/generators/random.hpp"
 #include "core/judge/checks.hpp"
 #include "core/judge/comparators.hpp"

@@ -12,9 +12,9 @@
 #include <vector>
 
 #include "cases/local_interaction/grain_inputs.hpp"
-#include "core/judge/checks.hpp"
-#include "core/generators/random.hpp"
 #include "core/contract/task.hpp"
+#include "core/generators/random.hpp"
+#include "core/judge/checks.hpp"
 
 namespace gpuphys::dem {
 namespace {

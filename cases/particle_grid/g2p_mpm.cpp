@@ -11,8 +11,8 @@
 
 #include "cases/particle_grid/node_velocity.hpp"
 #include "cases/particle_grid/particle_blocks.hpp"
-#include "core/judge/checks.hpp"
 #include "core/generators/random.hpp"
+#include "core/judge/checks.hpp"
 
 namespace gpuphys::g2p_mpm {
 namespace {

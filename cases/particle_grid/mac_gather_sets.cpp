@@ -80,6 +80,21 @@ std::vector<FaceStress> all_stresses() {
                     return field == 0 ? linear_at(c, g) : linear_at(c, {2 * g[2], g[0], -g[1]});
                   }});
   list.push_back(
+      {.particles = {.stress = "planes_tenth",
+                     .about = "dx = 0.1, particles within rounding of whole and half cells up to number 333: "
+                              "the quotient lies on one side, the place on the other",
+                     .cells = {9, 333, 8},
+                     .dx = static_cast<double>(0.1f),
+                     .n = 4001,
+                     .at =
+                         [](std::uint64_t q) {
+                           Vec3 x = off_planes(84, q, {0, 0, 0}, {9, 333, 8}, 0.5);
+                           for (double& c : x) c = std::floor(2 * c) / 2;
+                           return x;
+                         },
+                     .v = random_velocity(84)},
+       .u = noise(84)});
+  list.push_back(
       {.particles = {.stress = "single_faces",
                      .about = "one face in 64 is not zero, the last ones along each axis among them; -0 "
                               "in places",

@@ -347,6 +347,18 @@ std::vector<Scene> scenes() {
                                       }),
                  .tight = false});
   all.push_back(
+      {.stress = "degenerate",
+       .about = "F = 0, of rank one and of rank two, exactly: the stress does not depend on which R is taken",
+       .nodes = {13, 16, 14},
+       .n = 5009,
+       .particle = [=](std::uint64_t q) {
+         Mat3 f{};
+         const double size = q % 2 == 0 ? 1.25 : -0.75;
+         if (q % 3 > 0) f[q / 3 % 3][q / 9 % 3] = size;
+         if (q % 3 == 2) f[(q / 3 + 1) % 3][(q / 9 + 1) % 3] = 0.875;
+         return Particle{off_breaks(112, q, {1, 1, 1}, {12, 15, 13}), random_vector(112, q), f};
+       }});
+  all.push_back(
       {.stress = "edges",
        .about = "particles up to three cells outside of every side, some by 1e6 and 1e30 m: nodes dropped on "
                 "the way in, indices clamped on the way out",

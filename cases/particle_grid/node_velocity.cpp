@@ -3,8 +3,8 @@
 #include <cmath>
 #include <numbers>
 
-#include "core/generators/fourier_velocity.hpp"
 #include "core/base/parallel.hpp"
+#include "core/generators/fourier_velocity.hpp"
 #include "core/generators/random.hpp"
 
 namespace gpuphys::node_velocity {

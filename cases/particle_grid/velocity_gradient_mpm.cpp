@@ -7,8 +7,8 @@
 #include "cases/particle_grid/entry_checks.hpp"
 #include "cases/particle_grid/node_velocity.hpp"
 #include "cases/particle_grid/particle_blocks.hpp"
-#include "core/judge/checks.hpp"
 #include "core/base/parallel.hpp"
+#include "core/judge/checks.hpp"
 
 namespace gpuphys::velocity_gradient_mpm {
 namespace {

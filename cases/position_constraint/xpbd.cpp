@@ -303,6 +303,11 @@ Cloth shot_at(const Solver& solver) {
       c.springs.push_back({static_cast<std::int32_t>(sheet + k), static_cast<std::int32_t>(sheet + k)});
     if (k % 2 == 0) c.rest.push_back(1);
   }
+  // Springs from particles of the sheet to themselves: not counted in the valence.
+  for (std::int32_t i = 0; i < 300; i += 3) {
+    c.springs.push_back({i, i});
+    c.rest.push_back(0.5);
+  }
   clear_the_radius(c, solver, 33);
   return c;
 }
@@ -378,7 +383,7 @@ std::vector<InputSet> hard_sets() {
                 "a fifth of the particles pinned, with velocities; the others with masses over four decades",
                 [] { return problem_of(rolled(small_roll(24), {}, masses(24)), {}); },
                 {pinned_stay(), tight_v(5e-5)}));
-  add(hard_case("shot_at", "free particles, some with springs to themselves, that hit the roll",
+  add(hard_case("shot_at", "free particles that hit the roll; springs from particles to themselves",
                 [] { return problem_of(shot_at({}), {}); }, {momentum(), tight_v(2e-5)}));
   add(hard_case("two_rows", "66,000 particles in two rows beside each other",
                 [] { return problem_of(two_rows({}), {}); }, {momentum(), tight_v(5e-5)}));

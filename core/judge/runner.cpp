@@ -456,7 +456,8 @@ CallReport Runner::call(const Contract& contract, const Problem& problem, const 
   Request request{};
   request.magic = kMagic;
   request.ask = Ask::call;
-  request.flags = (how.timed ? kTimed : 0u) | (options_.under_tool ? kUnderTool : 0u);
+  request.flags =
+      (how.timed ? kTimed : 0u) | (options_.under_tool ? kUnderTool : 0u) | (how.discard ? kDiscard : 0u);
   std::vector<int> descriptors;
   std::vector<HostArray> keep;  // inputs that had to be copied, until the answer is there
   keep.reserve(problem.inputs.size());
@@ -526,6 +527,10 @@ CallReport Runner::call(const Contract& contract, const Problem& problem, const 
   result.faults = std::move(stray_faults_);
   stray_faults_.clear();
   if (how.last) end();
+  if (how.discard) {
+    result.outputs.clear();
+    return result;
+  }
   for (HostArray& a : result.outputs) {
     int before = 0, past = 0;
     for_each_byte_around(a, [&](const std::byte& b, bool behind) {

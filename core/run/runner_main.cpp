@@ -262,6 +262,7 @@ class Worker {
     CallProblem problem;
     problem.timed = (q.flags & kTimed) != 0;
     problem.under_tool = (q.flags & kUnderTool) != 0;
+    problem.discard = (q.flags & kDiscard) != 0;
     std::vector<Mapped> mappings;
     n_regions = 0;
     const auto map = [&](const ArrayAt& at, int protection, int flags) {

@@ -141,9 +141,13 @@ __device__ __forceinline__ Place locate_clamped(const TileGrid& g, float x, floa
   for (int d = 0; d < 3; ++d) {
     const int side = Tiling::side(d);
     const float cells = g.inverse_dx != 0.0f ? position[d] * g.inverse_dx : position[d] / g.dx;
-    const int nearest = whole(cells + 0.5f);  // half-way, either will do
-    const float from_nearest =
+    int nearest = whole(cells + 0.5f);  // half-way, either will do
+    float from_nearest =
         g.inverse_dx != 0.0f ? cells - static_cast<float>(nearest) : beyond(g, position[d], nearest);
+    // Where rounding went across the half: the hat has a kink there.
+    const int next = from_nearest > 0.5f ? 1 : from_nearest < -0.5f ? -1 : 0;
+    nearest += next;
+    from_nearest -= static_cast<float>(next);
     static_assert(Tiling::staggered || Tiling::order == 2, "of two nodes the lower one is not the nearest");
     const int key = !Tiling::staggered || from_nearest < 0.0f ? nearest - 1 : nearest;
     const int lowest = -Tiling::highest - Tiling::beyond,
@@ -151,8 +155,7 @@ __device__ __forceinline__ Place locate_clamped(const TileGrid& g, float x, floa
     const unsigned from_first = static_cast<unsigned>(min(max(key, lowest), highest) - Tiling::first(d));
     tile[d] = static_cast<int>(from_first / static_cast<unsigned>(side));
     p.cell = p.cell * side + static_cast<int>(from_first % static_cast<unsigned>(side));
-    // A little more than a half where the quotient was rounded across: the splines go on smoothly.
-    p.offset[d] = fminf(fmaxf(from_nearest, -0.75f), 0.75f);
+    p.offset[d] = fminf(fmaxf(from_nearest, -0.5f), 0.5f);  // far outside anything will do
   }
   p.tile = g.tile(tile[0], tile[1], tile[2]);
   return p;

@@ -152,10 +152,19 @@ __device__ __forceinline__ void load_tile(Tile<Tiling, Source::arrays>& tile, co
   }
 }
 
+/// Where gather() reads places: as place_particles() writes them. Others bring their own stride and reading.
+struct OwnPlaces {
+  static constexpr int stride = 1;  ///< float4 from one to the next
+  static __device__ __forceinline__ Placed placed(const float4& at) {
+    return {{at.x, at.y, at.z}, __float_as_int(at.w)};
+  }
+};
+
 /// Evaluates pieces of lists. `Transfer::evaluate(tile, placed, result)` fills the Transfer::quads float4 of
 /// a result, which lie Transfer::stride float4 apart in memory (what is between them is written too: whole
 /// sectors leave).
-template <class Transfer, class Tiling, class Source, int Threads, int Piece, int BlocksPerSm>
+template <class Transfer, class Tiling, class Source, int Threads, int Piece, int BlocksPerSm,
+          class Places = OwnPlaces>
 __global__ void __launch_bounds__(Threads, BlocksPerSm)
     gather(const __grid_constant__ Source source, const WorkItem* __restrict__ items,
            const int* __restrict__ item_count, const float4* __restrict__ places,
@@ -170,23 +179,22 @@ __global__ void __launch_bounds__(Threads, BlocksPerSm)
   for (int i = static_cast<int>(blockIdx.x); i < n_items; i += step) {
     const WorkItem item = items[i];
     if (thread < Tiling::cells) shared.cells.counts[thread] = 0;
-    const float4* from = places + item.first;
+    const float4* from = places + static_cast<std::int64_t>(Places::stride) * item.first;
 #pragma unroll
     for (int s = 0; s < rounds; ++s) {
       const int p = thread + s * Threads;
-      if (p < item.count) shared.places[p] = __ldcs(from + p);
+      if (p < item.count) shared.places[p] = __ldcs(from + Places::stride * p);
     }
     load_tile<Tiling, Threads>(shared.tile, source, item.tile);
     __syncthreads();
     sort_by_cell<Threads>(shared.cells, item.count, [&](int p) {
-      return __float_as_int(shared.places[p].w) & (Tiling::cells - 1);  // beyond the list: any cell
+      return Places::placed(shared.places[p]).cell & (Tiling::cells - 1);  // beyond the list: any cell
     });
 #pragma unroll 1
     for (int q = thread; q < item.count; q += Threads) {
       const int p = shared.cells.order[q];
-      const float4 at = shared.places[p];
       float result[4 * quads];
-      Transfer::evaluate(shared.tile, Placed{{at.x, at.y, at.z}, __float_as_int(at.w)}, result);
+      Transfer::evaluate(shared.tile, Places::placed(shared.places[p]), result);
 #pragma unroll
       for (int e = 0; e < quads; ++e) {
         shared.results[quads * p + e] =

@@ -24,8 +24,8 @@ struct Value {
 
 /// moved = u + length step, rounded so that x + moved is a float32; without a step, u = target rounded.
 __global__ void __launch_bounds__(cg::kThreads)
-    move(const float4* __restrict__ position, const float4* from,
-         const float4* __restrict__ step, float length, int n, float4* to) {
+    move(const float4* __restrict__ position, const float4* from, const float4* __restrict__ step,
+         float length, int n, float4* to) {
   const int i = static_cast<int>(blockIdx.x * blockDim.x + threadIdx.x);
   if (i >= n) return;
   const float4 x = position[i];

@@ -28,7 +28,8 @@ namespace {
 using mpm_scatter::kTileNodes;
 using mpm_scatter::kTileSide;
 using Scatter = mpm_scatter::Scatter<true>;
-using Tile = tiles::Tile<Scatter::T, node_gather::kComponents>;
+using Tiling = Scatter::T;
+using Tile = tiles::Tile<Tiling, node_gather::kComponents>;
 
 struct Policy : mpm_scatter::Policy {
 #ifdef GPUPHYS_OTHER_BLOCKS
@@ -41,89 +42,69 @@ struct Policy : mpm_scatter::Policy {
   static constexpr int finish_threads = 128;
 #endif
 };
-constexpr int kQuads = 3,
-              kStride = 4;  // float4 of a result {v 3, dv per cell 9}, and in memory: two whole sectors
 
-struct GatherShared {
-  float4 results[Policy::piece * kQuads];
-  float4 places[Policy::piece];
-  Tile tile;
-  tiles::CellOrder<mpm_scatter::kCells, Policy::piece> cells;
+/// {v 3, dv per cell 9}
+struct VelocityAndGradient {
+  static constexpr int quads = 3, stride = 4;  // float4, and in memory: two whole sectors
+
+  static __device__ __forceinline__ void evaluate(const Tile& tile, const tiles::Placed& placed,
+                                                  float (&result)[4 * quads]) {
+    const node_gather::Local at = node_gather::at_particle(tile, placed);
+#pragma unroll
+    for (int c = 0; c < 3; ++c) {
+      result[c] = at.v[c];
+#pragma unroll
+      for (int d = 0; d < 3; ++d) result[3 + 3 * c + d] = at.per_cell[c][d];
+    }
+  }
+};
+constexpr int kQuads = VelocityAndGradient::quads, kStride = VelocityAndGradient::stride;
+
+/// Places are what the records of the scatter begin with.
+struct RecordPlaces {
+  static constexpr int stride = mpm_scatter::kStride;
+
+  static __device__ __forceinline__ tiles::Placed placed(const float4& offset) {
+    const int cell = mpm_scatter::cell_of(offset);
+    const int x = cell / (kTileSide * kTileSide), y = cell / kTileSide % kTileSide, z = cell % kTileSide;
+    return {{offset.x - static_cast<float>(x + 1), offset.y - static_cast<float>(y + 1),
+             offset.z - static_cast<float>(z + 1)},
+            cell};
+  }
+};
+
+/// Samples are the nodes' velocities, divided as they are read.
+struct NodeSums {
+  static constexpr int arrays = node_gather::kComponents;
+  tiles::TileGrid grid;
+  const unsigned char* __restrict__ touched;
+  const float4* __restrict__ sums;
 };
 
 /// Velocities of a tile's nodes and their halo. Sums of node blocks that no particle reaches are not there.
-__device__ __forceinline__ void load_tile(Tile& tile, const tiles::TileGrid& grid,
-                                          const unsigned char* __restrict__ touched,
-                                          const float4* __restrict__ sums, const int4& at) {
-  using T = Scatter::T;
+template <class T, int Threads>
+__device__ __forceinline__ void load_tile(Tile& tile, const NodeSums& source, const int4& at) {
   const int first[3] = {at.x * kTileSide + T::first(0), at.y * kTileSide + T::first(1),
                         at.z * kTileSide + T::first(2)};
-  for (int s = static_cast<int>(threadIdx.x); s < Tile::kSamples; s += Policy::gather_threads) {
+  for (int s = static_cast<int>(threadIdx.x); s < Tile::kSamples; s += Threads) {
     const int offset[3] = {s / Tile::kPlane, s / Tile::kRow % mpm_scatter::kSide, s % Tile::kRow};
     int block[3], local[3];
 #pragma unroll
     for (int d = 0; d < 3; ++d) {
-      const int node = min(max(first[d] + offset[d], 0), grid.nodes[d] - 1) - T::first(d);
+      const int node = min(max(first[d] + offset[d], 0), source.grid.nodes[d] - 1) - T::first(d);
       block[d] = node / kTileSide;
       local[d] = node % kTileSide;
     }
-    const int number = grid.tile(block[0], block[1], block[2]);
+    const int number = source.grid.tile(block[0], block[1], block[2]);
     float4 sum = make_float4(0.0f, 0.0f, 0.0f, 0.0f);
-    if (touched[number] != 0) {
-      sum = sums[static_cast<std::size_t>(number) * kTileNodes +
-                 static_cast<std::size_t>((local[0] * kTileSide + local[1]) * kTileSide + local[2])];
+    if (source.touched[number] != 0) {
+      sum = source.sums[static_cast<std::size_t>(number) * kTileNodes +
+                        static_cast<std::size_t>((local[0] * kTileSide + local[1]) * kTileSide + local[2])];
     }
     const bool has_mass = sum.x > 0.0f;
     tile.values[0][s] = has_mass ? sum.y / sum.x : 0.0f;
     tile.values[1][s] = has_mass ? sum.z / sum.x : 0.0f;
     tile.values[2][s] = has_mass ? sum.w / sum.x : 0.0f;
-  }
-}
-
-__global__ void __launch_bounds__(Policy::gather_threads, Policy::gather_blocks_per_sm)
-    gather(const __grid_constant__ tiles::TileGrid grid, const tiles::WorkItem* __restrict__ items,
-           const int* __restrict__ item_count, const float4* __restrict__ records,
-           const unsigned char* __restrict__ touched, const float4* __restrict__ sums,
-           float4* __restrict__ results) {
-  extern __shared__ float4 memory[];
-  GatherShared& shared = *reinterpret_cast<GatherShared*>(memory);
-  constexpr int threads = Policy::gather_threads;
-  const int thread = static_cast<int>(threadIdx.x);
-  const int n_items = *item_count, step = static_cast<int>(gridDim.x);
-  for (int i = static_cast<int>(blockIdx.x); i < n_items; i += step) {
-    const tiles::WorkItem item = items[i];
-    if (thread < mpm_scatter::kCells) shared.cells.counts[thread] = 0;
-    const float4* from = records + static_cast<std::int64_t>(mpm_scatter::kStride) * item.first;
-    for (int p = thread; p < item.count; p += threads)
-      shared.places[p] = __ldcs(from + mpm_scatter::kStride * p);
-    load_tile(shared.tile, grid, touched, sums, item.tile);
-    __syncthreads();
-    tiles::sort_by_cell<threads>(shared.cells, item.count,
-                                 [&](int p) { return mpm_scatter::cell_of(shared.places[p]); });
-#pragma unroll 1
-    for (int q = thread; q < item.count; q += threads) {
-      const int p = shared.cells.order[q];
-      const float4 offset = shared.places[p];
-      const int cell = mpm_scatter::cell_of(offset);
-      const int x = cell / (kTileSide * kTileSide), y = cell / kTileSide % kTileSide, z = cell % kTileSide;
-      const node_gather::Local at = node_gather::at_particle(
-          shared.tile,
-          tiles::Placed{{offset.x - static_cast<float>(x + 1), offset.y - static_cast<float>(y + 1),
-                         offset.z - static_cast<float>(z + 1)},
-                        cell});
-      float4* result = shared.results + kQuads * p;
-      result[0] = make_float4(at.v[0], at.v[1], at.v[2], at.per_cell[0][0]);
-      result[1] = make_float4(at.per_cell[0][1], at.per_cell[0][2], at.per_cell[1][0], at.per_cell[1][1]);
-      result[2] = make_float4(at.per_cell[1][2], at.per_cell[2][0], at.per_cell[2][1], at.per_cell[2][2]);
-    }
-    __syncthreads();  // also: places, tile and order are read
-    float4* to = results + static_cast<std::int64_t>(kStride) * item.first;
-    for (int q = thread; q < kStride * item.count; q += threads) {
-      const int part = q % kStride;
-      to[q] =
-          part < kQuads ? shared.results[q / kStride * kQuads + part] : make_float4(0.0f, 0.0f, 0.0f, 0.0f);
-    }
-    // The next piece's results come after the barriers of its sort.
   }
 }
 
@@ -175,11 +156,11 @@ class Reference {
     scatter_.allocate(grid_of(in), n);
     results_ = DeviceBuffer<float4>(static_cast<std::size_t>(kStride * n));
     GPUPHYS_CUDA(cudaFuncSetAttribute(gather, cudaFuncAttributeMaxDynamicSharedMemorySize,
-                                      static_cast<int>(sizeof(GatherShared))));
+                                      static_cast<int>(kSharedBytes)));
     GPUPHYS_CUDA(cudaFuncSetAttribute(gather, cudaFuncAttributePreferredSharedMemoryCarveout,
                                       static_cast<int>(cudaSharedmemCarveoutMaxShared)));
     GPUPHYS_CUDA(cudaOccupancyMaxActiveBlocksPerMultiprocessor(&resident, gather, Policy::gather_threads,
-                                                               sizeof(GatherShared)));
+                                                               kSharedBytes));
     gather_blocks_ = processors * std::max(resident, 1);
   }
 
@@ -189,8 +170,8 @@ class Reference {
     const mpm_scatter::Particles particles = mpm_scatter::particles_of(in);
     scatter_.compute(grid, particles, mpm_scatter::moduli_of(in), {});
     const tiles::BinningView& bins = scatter_.bins();
-    gather<<<static_cast<unsigned>(gather_blocks_), Policy::gather_threads, sizeof(GatherShared)>>>(
-        grid, bins.items, bins.cursors + 1, scatter_.records(), bins.touched, scatter_.sums(),
+    gather<<<static_cast<unsigned>(gather_blocks_), Policy::gather_threads, kSharedBytes>>>(
+        NodeSums{grid, bins.touched, scatter_.sums()}, bins.items, bins.cursors + 1, scatter_.records(),
         results_.get());
     const Updated updated{out.v_new.data, out.F_new.data, out.x_new.data};
     finish<<<mpm_scatter::blocks(particles.n, Policy::finish_threads), Policy::finish_threads>>>(
@@ -198,6 +179,11 @@ class Reference {
   }
 
  private:
+  static constexpr auto gather = tiles::gather<VelocityAndGradient, Tiling, NodeSums, Policy::gather_threads,
+                                               Policy::piece, Policy::gather_blocks_per_sm, RecordPlaces>;
+  static constexpr std::size_t kSharedBytes =
+      sizeof(tiles::GatherShared<Tiling, NodeSums::arrays, Policy::piece, kQuads>);
+
   static tiles::TileGrid grid_of(const Inputs& in) { return Scatter::grid_of(in.nx, in.ny, in.nz, in.dx); }
 
   Scatter scatter_;

@@ -23,11 +23,11 @@
 // rotation takes no rotation (fixed_corotated.cuh). A record is two whole sectors and leaves in one
 // instruction: as three 16-byte stores at random places, records kept DRAM busy with row changes, and records
 // of 48 bytes, written at once, leave half sectors behind that cost half as much time again, more than their
-// fewer bytes save (NOTES.md). The next piece's list is on its way while the present one's sums are added up.
-// Summing in registers first leaves some 30 shared accesses a cell instead of 864 atomics; factoring the 27
-// weights, with the sum of three nodes in place of the middle one along each axis, takes 10 multiply-adds and
-// additions a node and particle for all four sums; one thread for all 27 nodes of a cell reads each record
-// once.
+// fewer bytes save (docs/lab/particle_grid.md). The next piece's list is on its way while the present one's
+// sums are added up. Summing in registers first leaves some 30 shared accesses a cell instead of 864 atomics;
+// factoring the 27 weights, with the sum of three nodes in place of the middle one along each axis, takes 10
+// multiply-adds and additions a node and particle for all four sums; one thread for all 27 nodes of a cell
+// reads each record once.
 #include <algorithm>
 
 #include "cases/particle_grid/p2g_mpm.hpp"

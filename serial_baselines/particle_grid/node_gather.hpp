@@ -40,7 +40,8 @@ struct ClampedSpline {
   }
 };
 
-/// The same without clamping, for transfers to the nodes: nodes first, first + 1, first + 2, in the array or not.
+/// The same without clamping, for transfers to the nodes: nodes first, first + 1, first + 2, in the array or
+/// not.
 template <class Real>
 struct UnclampedSpline {
   std::int64_t first = 0;
