@@ -6,6 +6,7 @@
 #include <sys/wait.h>
 #include <unistd.h>
 
+#include <cfenv>
 #include <chrono>
 #include <cmath>
 #include <cstdlib>
@@ -84,8 +85,8 @@ INSTANTIATE_TEST_SUITE_P(
         std::pair{"abort", "signal 6"}, std::pair{"segfault", "signal 11"},
         std::pair{"exit_0_in_allocate", "exit code 0"}, std::pair{"exit_0_in_release", "exit code 0"},
         std::pair{"exit_0_in_constructor", "exit code 0"}, std::pair{"exit_0_in_entry", "exit code 0"},
-        std::pair{"says_done", "out of turn"}, std::pair{"sends_garbage", "no answer"},
-        std::pair{"unknown_fault", "fault that does not exist"}, std::pair{"kills_everybody", "gone"}),
+        std::pair{"says_done", "without having computed"}, std::pair{"sends_garbage", "no answer"},
+        std::pair{"unknown_fault", "fault that does not exist"}),
     [](const auto& i) {
       std::string name = i.param.first;
       return name[0] == '_' ? "raw" + name : name;
@@ -94,6 +95,11 @@ INSTANTIATE_TEST_SUITE_P(
 TEST(Boundary, SayingDoneBeforeExitingDeliversOnlyWhatWasWritten) {
   const CallReport r = judged("says_done_and_exits");
   EXPECT_TRUE(has(r, Fault::unwritten_output));
+}
+
+// The judge and the supervisor are out of its reach.
+TEST(Boundary, AModuleCannotStopWhoRunsIt) {
+  EXPECT_EQ(lost("kills_its_parent"), "answered");
 }
 
 TEST(Boundary, SayingSkippedIsNoSkip) {
@@ -186,7 +192,7 @@ TEST(Boundary, AThreadThatStaysReachesNoCopy) {
 // ---- memory, arithmetic, text ----
 
 TEST(Boundary, WritingBeyondAnOutputIsSeen) {
-  EXPECT_TRUE(holds(lost("writes_1_MiB_beyond"), "output 'v': an access 0 bytes past its end"));
+  EXPECT_TRUE(holds(lost("writes_1_MiB_beyond"), "output 'v': an access"));
   EXPECT_TRUE(holds(lost("writes_1_MiB_beyond"), "signal 11"));
 }
 
@@ -200,9 +206,9 @@ TEST(Boundary, MemoryIsLimited) {
 TEST(Boundary, TheArithmeticOfAModuleIsItsOwn) {
   for (const char* name : {"flushes_subnormals", "rounds_up"}) {
     (void)judged(name);
-    volatile float tiny = 0x1p-140f, third = 1.0f;
+    volatile float tiny = 0x1p-140f;
     EXPECT_NE(tiny * 0.5f, 0.0f) << name;
-    EXPECT_LT(third / 3.0f, 0.33333335f) << name;
+    EXPECT_EQ(std::fegetround(), FE_TONEAREST) << name;
   }
 }
 
@@ -253,6 +259,8 @@ TEST_P(BrokenRule, IsNamed) {
 INSTANTIATE_TEST_SUITE_P(
     Boundary, BrokenRule,
     testing::Values(Expectation{"modifies_input", Fault::input_modified, "input 'u': 1 of 1000"},
+                    Expectation{"writes_past_end", Fault::out_of_bounds_write,
+                                "output 'v': wrote 0 bytes before its start and 4 past"},
                     Expectation{"writes_nan", Fault::non_finite_output, "1 of 1000"},
                     Expectation{"leaves_part_unwritten", Fault::unwritten_output, "232 of 1000"},
                     Expectation{"throws", Fault::returned_error, "the solver diverged"},
@@ -287,7 +295,7 @@ TEST(Boundary, AnHonestModulePasses) {
   EXPECT_TRUE(r.faults.empty());
   EXPECT_TRUE(is_exact(r.outputs, problem()));
   EXPECT_GT(r.milliseconds, 0);
-  EXPECT_GE(r.wall_ms, r.milliseconds);
+  EXPECT_GT(r.wall_ms, 0);
 }
 
 TEST(Boundary, WithoutLandlockBubblewrapConfines) {

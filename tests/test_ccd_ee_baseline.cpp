@@ -39,8 +39,8 @@ Problem problem_from(const EdgeMesh& mesh) {
   return p;
 }
 
-std::vector<double> times(const Problem& p) {
-  const Arrays out = run_module(task(), "baseline_f64", p);
+std::vector<double> times(const Problem& p, const std::string& label = "baseline_f64") {
+  const Arrays out = run_module(task(), label, p);
   std::vector<double> t;
   for (std::int64_t e = 0; e < out[0].size(); ++e) t.push_back(out[0].value(e));
   return t;
@@ -89,6 +89,20 @@ TEST(CcdEeBaseline, ContactAtTheStartCountsAsPositive) {
   // w . (u x v) with u = (2,0,0), v = (0,2,0) has the sign of w_z.
   EXPECT_EQ(times(two_edges(start, up))[0], 1);
   EXPECT_NEAR(times(two_edges(start, down))[0], 0, 1e-9);
+}
+
+TEST(CcdEeBaseline, ScaleDoesNotMatterInFloat32) {
+  // Squares of the cubic's coefficients would leave float32 at 2^18 m, and vanish at 2^-30 m.
+  for (const float scale : {0x1p-30f, 1.0f, 0x1p18f}) {
+    EdgeMesh mesh = two_edges({{{0, 0, 0}, {2, 0, 0}, {1, -1, 3}, {1, 1, 3}}},
+                              {{{0, 0, 0}, {2, 0, 0}, {1, -1, -1}, {1, 1, -1}}});
+    for (auto* x : {&mesh.x0, &mesh.x1}) {
+      for (Vertex& v : *x) {
+        for (float& c : v) c *= scale;
+      }
+    }
+    EXPECT_NEAR(times(problem_from(mesh), "baseline_f32")[0], 0.75, 1e-7) << scale;
+  }
 }
 
 TEST(CcdEeBaseline, TheEarliestPartnerCounts) {

@@ -36,7 +36,7 @@ class Cli : public ::testing::Test {
   Outcome call(const std::string& arguments) const {
     const std::string command = "cd '" + folder_.string() +
                                 "' && unset GPUPHYS_REQUIRE_GPU; '" GPUPHYS_DRIVER
-                                "' --results results --truth truth " +
+                                "' --results results --store store " +
                                 arguments + " 2>&1";
     const std::unique_ptr<FILE, int (*)(FILE*)> pipe(
         popen(command.c_str(), "r"), +[](FILE*) { return 0; });
@@ -79,7 +79,15 @@ TEST_F(Cli, BadCommandLines) {
   EXPECT_EQ(call("").code, static_cast<int>(ExitCode::usage));
   EXPECT_EQ(call("frobnicate").code, static_cast<int>(ExitCode::usage));
   EXPECT_EQ(call("run --task advect_rk2").code, static_cast<int>(ExitCode::usage));
-  expect_error("run --task advect_rk2 --module baseline_f32 --scalar dt", ExitCode::usage, {"NAME=NUMBER"});
+  for (const char* scalar : {"dt", "dt=", "dt=0,001", "dt=1e-3abc", "dt=nan", "dt=inf", "dt= 1"})
+    expect_error(std::string("run --task advect_rk2 --module baseline_f32 --scalar '") + scalar + "'",
+                 ExitCode::usage, {"NAME=NUMBER"});
+  for (const char* limit : {"nan", "inf", "0", "-1"})
+    EXPECT_EQ(
+        call(std::string("run --task advect_rk2 --module baseline_f32 --set public_smoke --timeout ") + limit)
+            .code,
+        static_cast<int>(ExitCode::usage))
+        << limit;
 }
 
 TEST_F(Cli, HelpHasExamplesAndTheExitCodes) {
@@ -143,6 +151,14 @@ TEST_F(Cli, AMutantFailsAsAModuleAndSucceedsAsAMutant) {
 TEST_F(Cli, AStuckModuleIsStoppedAndNamed) {
   expect_error("run --task poisson_neumann --module baseline_f64 --set public_smoke --timeout 0.01",
                ExitCode::crashed, {"TIMEOUT"});
+}
+
+// A verdict that nobody could read is none.
+TEST_F(Cli, ClosedOrFullOutputIsNoSuccess) {
+  const int lost = static_cast<int>(ExitCode::output_lost);
+  const std::string list = "list --task advect_rk2";
+  EXPECT_EQ(call(list + " > /dev/full").code, lost);
+  EXPECT_EQ(call(list + " >&- 2> /dev/null; exit $? #").code, lost);
 }
 
 TEST_F(Cli, ExportThenCheckOfWrongFiles) {

@@ -1,5 +1,5 @@
-// The serial baseline of g2p_mpm, validated on its own: by hand, by exact fields, against differences of its own
-// velocity, and against the transfer the other way.
+// The serial baseline of g2p_mpm, validated on its own: by hand, by exact fields, against differences of its
+// own velocity, and against the transfer the other way.
 #include <gtest/gtest.h>
 
 #include <array>
@@ -18,14 +18,15 @@ using particle_blocks::Mat3;
 using particle_blocks::Vec3;
 using testing::run_module;
 
-const Task& task() { return find_task("g2p_mpm"); }
+const Task& task() {
+  return find_task("g2p_mpm");
+}
 
 // dx = 1 and F = I unless set; nodes of a cube of `side`.
 Problem unit_problem(std::int64_t side, const std::vector<Vec3>& places, double dt = 1) {
-  Problem p = make_problem(task().contract, {{"n", static_cast<std::int64_t>(places.size())},
-                                             {"nx", side},
-                                             {"ny", side},
-                                             {"nz", side}});
+  Problem p = make_problem(
+      task().contract,
+      {{"n", static_cast<std::int64_t>(places.size())}, {"nx", side}, {"ny", side}, {"nz", side}});
   p.set_scalar("dx", 1);
   p.set_scalar("dt", dt);
   for (std::size_t q = 0; q < places.size(); ++q) {
@@ -68,14 +69,15 @@ Result result_of(const Arrays& out, std::int64_t q) {
     const auto a = static_cast<std::size_t>(d);
     r.v[a] = out[0].value(3 * q + d);
     r.x[a] = out[2].value(3 * q + d);
-    for (std::int64_t e = 0; e < 3; ++e) r.f[a][static_cast<std::size_t>(e)] = out[1].value(9 * q + 3 * d + e);
+    for (std::int64_t e = 0; e < 3; ++e)
+      r.f[a][static_cast<std::size_t>(e)] = out[1].value(9 * q + 3 * d + e);
   }
   return r;
 }
 
 TEST(G2pMpmBaseline, OneNodeByHand) {
-  // Only node (2,3,2) moves, with (8, 16, 32). On it the weight is (3/4)^3 = 27/64 and the gradient 0. One below it along
-  // x, at (1,3,2): w = 1/8 (3/4)^2 = 9/128, dw/dx = 1/2 (3/4)^2 = 9/32, the other slopes 0.
+  // Only node (2,3,2) moves, with (8, 16, 32). On it the weight is (3/4)^3 = 27/64 and the gradient 0. One
+  // below it along x, at (1,3,2): w = 1/8 (3/4)^2 = 9/128, dw/dx = 1/2 (3/4)^2 = 9/32, the other slopes 0.
   Problem p = unit_problem(6, {{2, 3, 2}, {1, 3, 2}});
   fill_nodes(p, [](double i, double j, double k) {
     return i == 2 && j == 3 && k == 2 ? Vec3{8, 16, 32} : Vec3{0, 0, 0};
@@ -161,10 +163,12 @@ TEST(G2pMpmBaseline, TheGradientIsThatOfTheVelocity) {
 
 TEST(G2pMpmBaseline, OutsideTheVelocityIsTheNearestNodes) {
   const std::int64_t side = 5;
-  Problem p = unit_problem(side, {{-1.5, 2, 2}, {-1e30, 2, 2}, {5.5, 2, 2}, {1e30, -1e30, 1e30}, {-0.25, 2, 2}});
+  Problem p =
+      unit_problem(side, {{-1.5, 2, 2}, {-1e30, 2, 2}, {5.5, 2, 2}, {1e30, -1e30, 1e30}, {-0.25, 2, 2}});
   fill_nodes(p, noise);
   const Arrays out = run_module(task(), "baseline_f64", p);
-  const Result near = result_of(out, 0), far = result_of(out, 1), corner = result_of(out, 3), partly = result_of(out, 4);
+  const Result near = result_of(out, 0), far = result_of(out, 1), corner = result_of(out, 3),
+               partly = result_of(out, 4);
   const Vec3 last = noise(4, 0, 4);
   for (std::size_t a = 0; a < 3; ++a) {
     EXPECT_DOUBLE_EQ(near.v[a], far.v[a]);
@@ -190,7 +194,8 @@ TEST(G2pMpmBaseline, VolumeGrowsWithTheDivergence) {
   Problem p = unit_problem(8, {{3.4375, 2.8125, 4.25}}, dt);
   fill_nodes(p, noise);
   const auto det = [](const Mat3& m) {
-    return m[0][0] * (m[1][1] * m[2][2] - m[1][2] * m[2][1]) - m[0][1] * (m[1][0] * m[2][2] - m[1][2] * m[2][0]) +
+    return m[0][0] * (m[1][1] * m[2][2] - m[1][2] * m[2][1]) -
+           m[0][1] * (m[1][0] * m[2][2] - m[1][2] * m[2][0]) +
            m[0][2] * (m[1][0] * m[2][1] - m[1][1] * m[2][0]);
   };
   const Result r = result_of(run_module(task(), "baseline_f64", p), 0);
@@ -199,13 +204,14 @@ TEST(G2pMpmBaseline, VolumeGrowsWithTheDivergence) {
 }
 
 TEST(G2pMpmBaseline, IsTheTransposeOfP2gMpm) {
-  // sum_i w_i . (sum_p w_ip v_p) = sum_p v_p . (sum_i w_ip w_i) for any node field w and particle velocities v: p2g_mpm
-  // without stress (F = I) and with the node masses of a uniform field.
+  // sum_i w_i . (sum_p w_ip v_p) = sum_p v_p . (sum_i w_ip w_i) for any node field w and particle velocities
+  // v: p2g_mpm without stress (F = I) and with the node masses of a uniform field.
   const std::int64_t side = 9;
   std::vector<Vec3> places;
   for (std::uint64_t q = 0; q < 40; ++q) {
     Vec3 x;
-    for (std::size_t d = 0; d < 3; ++d) x[d] = 2 + std::floor(64 * 4 * uniform01(82, 0, 3 * q + d)) / 64 + 0x1p-8;
+    for (std::size_t d = 0; d < 3; ++d)
+      x[d] = 2 + std::floor(64 * 4 * uniform01(82, 0, 3 * q + d)) / 64 + 0x1p-8;
     places.push_back(x);
   }
   Problem back = unit_problem(side, places);
@@ -222,7 +228,8 @@ TEST(G2pMpmBaseline, IsTheTransposeOfP2gMpm) {
       p.inputs[0].as<float>()[3 * q + d] = static_cast<float>(places[q][d]);
       p.inputs[1].as<float>()[3 * q + d] = static_cast<float>(v);
       p.inputs[2].as<float>()[9 * q + 4 * d] = 1;
-      expected += static_cast<double>(static_cast<float>(v)) * gathered[0].value(static_cast<std::int64_t>(3 * q + d));
+      expected += static_cast<double>(static_cast<float>(v)) *
+                  gathered[0].value(static_cast<std::int64_t>(3 * q + d));
     }
   }
   const Arrays u = run_module(there, "baseline_f64", p);
@@ -231,8 +238,8 @@ TEST(G2pMpmBaseline, IsTheTransposeOfP2gMpm) {
     return a < 0.5 ? 0.75 - a * a : a < 1.5 ? 0.5 * (1.5 - a) * (1.5 - a) : 0.0;
   };
   for (std::int64_t node = 0; node < side * side * side; ++node) {
-    const std::array<double, 3> at{static_cast<double>(node / side / side), static_cast<double>(node / side % side),
-                                   static_cast<double>(node % side)};
+    const std::array<double, 3> at{static_cast<double>(node / side / side),
+                                   static_cast<double>(node / side % side), static_cast<double>(node % side)};
     double mass = 0;
     for (const Vec3& x : places) mass += spline(x[0] - at[0]) * spline(x[1] - at[1]) * spline(x[2] - at[2]);
     for (std::size_t c = 0; c < 3; ++c) found += mass * u[c].value(node) * back.inputs[2 + c].value(node);

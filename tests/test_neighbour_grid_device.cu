@@ -12,8 +12,8 @@
 #include <string>
 #include <vector>
 
-#include "core/run/gpu/ceilings.hpp"
 #include "core/generators/random.hpp"
+#include "core/run/gpu/ceilings.hpp"
 #include "references/blocks/neighbour_grid.cuh"
 
 namespace gpuphys::testing {

@@ -3,10 +3,16 @@
 
 #include <gtest/gtest.h>
 
+#include <array>
 #include <cmath>
 #include <filesystem>
+#include <optional>
+#include <vector>
 
 #include "core/base/files.hpp"
+#include "core/records/labels.hpp"
+#include "core/records/record.hpp"
+#include "core/records/results_json.hpp"
 
 namespace gpuphys {
 namespace {
@@ -20,8 +26,10 @@ RunResult sample(const std::string& label = "reference", const std::string& set 
   r.label = label;
   r.role = label.starts_with("mutant.") ? "mutant" : "reference";
   r.set = set;
-  r.set_kind = "public";
-  r.size = "paper";
+  r.run = "0123456789abcdef";
+  r.module = {"aa", "-O3", "nvcc"};
+  r.inputs = "11";
+  r.truth = "22";
   r.state = r.is_mutant() ? RunState::killed : RunState::pass;
   r.checks = {{"l2", "paper", "u", "relative L2", 1.25e-7, 1e-6, 0.125, true, ""},
               {"local", "local", "u", "largest", std::nan(""), 1e-4, std::numeric_limits<double>::infinity(),
@@ -64,7 +72,9 @@ TEST_F(Results, ARunComesBackWithEveryDigitAndNonFiniteNumbers) {
   EXPECT_EQ(to_json(s.runs[0]), to_json(r));
   EXPECT_EQ(s.runs[0].truth_gap.at("u"), 0.1 + 0.2);
   EXPECT_TRUE(std::isnan(s.runs[0].checks[1].error));
-  EXPECT_TRUE(std::isinf(s.runs[0].checks[1].ratio));
+  EXPECT_TRUE(std::isnan(s.runs[0].checks[1].ratio));
+  EXPECT_FALSE(s.runs[0].checks[1].pass);
+  EXPECT_EQ(s.runs[0].module.sources, "aa");
   EXPECT_TRUE(fs::exists(root + "/t/gpu/mutant.sign/public.json"));
 }
 
@@ -77,7 +87,7 @@ TEST_F(Results, ATimingComesBack) {
 }
 
 TEST_F(Results, EveryStateHasItsName) {
-  for (int i = 0; i <= static_cast<int>(RunState::skipped); ++i) {
+  for (int i = 0; i <= static_cast<int>(RunState::running); ++i) {
     const auto state = static_cast<RunState>(i);
     EXPECT_EQ(run_state_from(to_string(state)), state);
   }
@@ -103,12 +113,13 @@ TEST_F(Results, UnreadableFilesAreNamed) {
   EXPECT_NE(refused(whole.substr(0, whole.size() / 2)).find("not valid JSON"), std::string::npos);
   EXPECT_NE(refused("").find("not valid JSON"), std::string::npos);
   EXPECT_NE(refused("[1]").find("expected a JSON object"), std::string::npos);
-  EXPECT_NE(refused(replaced("\"schema\": 1", "\"schema\": 2")).find("schema 2 is not supported"),
+  EXPECT_NE(refused(replaced("\"schema\":2", "\"schema\":9")).find("schema 9 is not supported"),
             std::string::npos);
   EXPECT_NE(refused(replaced("\"PASS\"", "\"GREAT\"")).find("unknown state 'GREAT'"), std::string::npos);
   EXPECT_NE(refused(replaced("1.25e-07", "\"small\"")).find("\"small\" is not a number"), std::string::npos);
+  EXPECT_NE(refused(replaced("1.25e-07", "1e999")).find("not usable JSON"), std::string::npos);
   EXPECT_NE(refused(replaced("\"label\"", "\"lebal\"")).find("key 'label' is missing"), std::string::npos);
-  EXPECT_NE(refused(replaced("\"set\": \"public\"", "\"set\": \"hidden\"")).find("names another run"),
+  EXPECT_NE(refused(replaced("\"set\":\"public\"", "\"set\":\"hidden\"")).find("names another run"),
             std::string::npos);
 }
 
@@ -117,7 +128,7 @@ TEST_F(Results, AFolderThatDoesNotExistIsEmpty) {
 }
 
 TEST_F(Results, NamesThatAreNoFoldersAreRefused) {
-  for (const std::string label : {"", "..", "a/b"}) {
+  for (const std::string label : {"", "..", "a/b", "a\nb", "\x1b[2J"}) {
     RunResult r = sample();
     r.label = label;
     EXPECT_THROW(write_result(root, r), Error) << label;
@@ -152,32 +163,124 @@ TEST_F(Results, ASkippedRunDoesNotHideARecordAndIsMentioned) {
   EXPECT_EQ(s.notes.size(), 1u);
 }
 
+// A role is no matter of what a file says.
+TEST_F(Results, RoleAndLaneFollowFromTheLabel) {
+  const std::vector<std::array<std::string, 3>> expected = {{"reference", "reference", "gpu"},
+                                                            {"reference@tol=1e-4", "reference", "gpu"},
+                                                            {"reference.permuted", "reference", "gpu"},
+                                                            {"blocks", "reference", "gpu"},
+                                                            {"fmad", "fmad", "gpu"},
+                                                            {"fast_math", "fast_math", "gpu"},
+                                                            {"baseline_f32", "baseline", "cpu"},
+                                                            {"mutant.x", "mutant", "gpu"},
+                                                            {"serial_mutant.x", "mutant", "cpu"},
+                                                            {"mine", "user", "user"},
+                                                            {"reference2", "user", "user"}};
+  for (const auto& [label, role, lane] : expected) {
+    EXPECT_EQ(role_of(label), role) << label;
+    EXPECT_EQ(lane_of(label), lane) << label;
+  }
+  RunResult r = sample("mine");
+  r.role = "reference";
+  r.lane = "gpu";
+  write_result(root, r);
+  EXPECT_TRUE(fs::exists(root + "/t/user/mine/public.json"));
+  EXPECT_EQ(load_results(root).runs.at(0).role, "user");
+}
+
+TEST_F(Results, ARunThatNeverCameToItsEndSaysSo) {
+  RunResult r = sample();
+  write_result(root, r);
+  r.state = RunState::running;
+  r.run = "another";
+  write_result(root, r);
+  const ResultSet s = load_results(root);
+  ASSERT_EQ(s.runs.size(), 1u) << "the older PASS must not stand beside it";
+  EXPECT_EQ(s.runs[0].state, RunState::running);
+  EXPECT_FALSE(s.runs[0].as_it_should_be());
+}
+
 TEST_F(Results, ARecordComesBackAndFailsToLoadWhenDamaged) {
   TaskRecord record;
   record.task = "t";
-  record.digest = {{{"a.cpp", "00"}, {"b.cpp", "11"}}, "22"};
   record.device = "NVIDIA H200";
+  record.modules = {{"reference", {"aa", "-O3", "nvcc"}}};
+  record.sets = {{"public", {"11", "22", 1e6, {{"l2", 0.001}}}}};
+  record.case_sources = "cc";
   record.results = {sample()};
   record.timing = {timing(0.3)};
   write_record(root, "nvidia-h200", record);
-  EXPECT_EQ(to_json(*load_record(root, "nvidia-h200", "t")), to_json(record));
+  const std::optional<TaskRecord> back = load_record(root, "nvidia-h200", "t");
+  ASSERT_TRUE(back.has_value());
+  EXPECT_EQ(back->modules.at("reference").sources, "aa");
+  EXPECT_EQ(back->sets.at("public").checks.at("l2"), 0.001);
+  EXPECT_EQ(back->results.at(0).module.sources, "aa");
+  EXPECT_EQ(back->results.at(0).truth_gap.at("u"), 0.1 + 0.2);
+  EXPECT_EQ(back->timing.at(0).median_ms, 0.3);
   EXPECT_FALSE(load_record(root, "nvidia-h200", "other").has_value());
   EXPECT_EQ(recorded_gpus(root), std::vector<std::string>{"nvidia-h200"});
-  const ResultSet s = load_records(root, "nvidia-h200");
-  EXPECT_EQ(s.runs.at(0).origin, "record nvidia-h200");
+  EXPECT_EQ(load_records(root, "nvidia-h200").runs.at(0).origin, "record nvidia-h200");
+  // One line for each run, so that a renewal reads as a diff.
+  const std::string text = read_file(root + "/nvidia-h200/t.json");
+  EXPECT_NE(text.find("\n{\"checks\""), std::string::npos) << text;
   write_file(root + "/nvidia-h200/t.json", "{");
   EXPECT_THROW(load_record(root, "nvidia-h200", "t"), Error);
   EXPECT_EQ(load_records(root, "nvidia-h200").unreadable.size(), 1u);
 }
 
-TEST_F(Results, SeveralRecordedGpusMustBeChosenFrom) {
+TEST_F(Results, OneUnreadableRecordStopsNoOther) {
   TaskRecord record;
-  record.task = "t";
-  write_record(root, "gpu-a", record);
-  write_record(root, "gpu-b", record);
-  EXPECT_THROW(gather_results(root + "/none", root, ""), Error);
-  EXPECT_THROW(gather_results(root + "/none", root, "gpu-c"), Error);
-  EXPECT_NO_THROW(gather_results(root + "/none", root, "gpu-b"));
+  record.device = "g";
+  record.results = {sample()};
+  for (const char* task : {"a", "b"}) {
+    record.task = task;
+    write_record(root, "g", record);
+  }
+  write_file(root + "/g/a.json", "{\"schema\":2,\"x\":1e999}");
+  const ResultSet s = load_records(root, "g");
+  EXPECT_EQ(s.runs.size(), 1u);
+  EXPECT_EQ(s.unreadable.size(), 1u);
+}
+
+// ---- history ----
+
+HistoryEntry entry(double multiple, bool accepted = true, const std::string& reason = "") {
+  HistoryEntry e;
+  e.date = "2026-11-28";
+  e.label = "reference";
+  e.set = "public";
+  e.sources = "abc";
+  e.median_ms = e.min_ms = multiple / 10;
+  e.floor_ms = 0.1;
+  e.multiple = multiple;
+  e.accepted = accepted;
+  e.reason = reason;
+  return e;
+}
+
+TEST_F(Results, AHistoryIsAppendedToAndComesBack) {
+  append_history(root, "g", "t", {entry(3)});
+  append_history(root, "g", "t", {entry(3.5, true, "safer, \"slower\" bounds")});
+  const std::vector<HistoryEntry> all = load_history(root, "g", "t");
+  ASSERT_EQ(all.size(), 2u);
+  EXPECT_EQ(all[1].reason, "safer, \"slower\" bounds");
+  EXPECT_EQ(all[0].multiple, 3);
+  EXPECT_TRUE(load_history(root, "g", "u").empty());
+  write_file(root + "/g/t.csv", read_file(root + "/g/t.csv") + "x,y\n");
+  EXPECT_THROW(load_history(root, "g", "t"), Error);
+}
+
+TEST(History, TheBaselineIsTheBestEverAcceptedUntilAReasonStartsAnew) {
+  EXPECT_EQ(best_accepted({}, "reference", "public"), nullptr);
+  // Ten steps of 4 % each: the first is what the last is held against.
+  std::vector<HistoryEntry> creeping;
+  for (int i = 0; i < 10; ++i) creeping.push_back(entry(3 * std::pow(1.04, i)));
+  EXPECT_EQ(best_accepted(creeping, "reference", "public")->multiple, 3);
+  EXPECT_EQ(best_accepted({entry(3), entry(2, false)}, "reference", "public")->multiple, 3);
+  EXPECT_EQ(best_accepted({entry(3), entry(4, true, "why")}, "reference", "public")->multiple, 4);
+  EXPECT_EQ(best_accepted({entry(3), entry(4, true, "why"), entry(3.5)}, "reference", "public")->multiple,
+            3.5);
+  EXPECT_EQ(best_accepted({entry(3)}, "reference", "hidden"), nullptr);
 }
 
 TEST(GpuSlug, IsAFoldersName) {

@@ -34,7 +34,9 @@ class Tree : public testing::Test {
   ~Tree() override { fs::remove_all(root); }
 
   void put(const std::string& path, const std::string& text) const { write_file(root + "/" + path, text); }
-  std::string total(const std::vector<std::string>& roots) const { return digest_sources(root, roots).total; }
+  std::string total(const std::vector<std::string>& roots) const {
+    return digest_sources({root, "", false}, roots).total;
+  }
 
   std::string root;
 };
@@ -126,7 +128,7 @@ TEST_F(Tree, FollowsIncludesAndImplementations) {
   put("c/z.cuh", "int z;\n");
   put("c/z.cu", "int zz;\n");
   put("c/other.hpp", "int o;\n");
-  EXPECT_EQ(source_dependencies(root, {"a/main.cpp"}),
+  EXPECT_EQ(source_dependencies({root, "", false}, {"a/main.cpp"}),
             (std::set<std::string>{"a/main.cpp", "b/x.hpp", "b/x.cpp", "b/y.hpp", "c/z.cuh", "c/z.cu"}));
 }
 
@@ -134,12 +136,12 @@ TEST_F(Tree, DigestSeesAChangeAnywhereBelow) {
   put("main.cpp", "#include \"x.hpp\"\n");
   put("x.hpp", "int x();\n");
   put("x.cpp", "int x() { return 1; }\n");
-  const SourceDigest before = digest_sources(root, {"main.cpp"});
+  const SourceDigest before = digest_sources({root, "", false}, {"main.cpp"});
   put("x.cpp", "int x() {\n  return 1;  // one\n}\n");
-  EXPECT_EQ(digest_sources(root, {"main.cpp"}).total, before.total);
-  EXPECT_TRUE(digest_differences(before, digest_sources(root, {"main.cpp"})).empty());
+  EXPECT_EQ(digest_sources({root, "", false}, {"main.cpp"}).total, before.total);
+  EXPECT_TRUE(digest_differences(before, digest_sources({root, "", false}, {"main.cpp"})).empty());
   put("x.cpp", "int x() { return 2; }\n");
-  const SourceDigest after = digest_sources(root, {"main.cpp"});
+  const SourceDigest after = digest_sources({root, "", false}, {"main.cpp"});
   EXPECT_NE(after.total, before.total);
   EXPECT_EQ(digest_differences(before, after), std::vector<std::string>{"changed: x.cpp"});
 }
@@ -147,24 +149,38 @@ TEST_F(Tree, DigestSeesAChangeAnywhereBelow) {
 TEST_F(Tree, DifferencesNameAddedAndRemovedFiles) {
   put("main.cpp", "#include \"x.hpp\"\n");
   put("x.hpp", "int x();\n");
-  const SourceDigest before = digest_sources(root, {"main.cpp"});
+  const SourceDigest before = digest_sources({root, "", false}, {"main.cpp"});
   put("main.cpp", "#include \"y.hpp\"\n");
   put("y.hpp", "int x();\n");
-  EXPECT_EQ(digest_differences(before, digest_sources(root, {"main.cpp"})),
+  EXPECT_EQ(digest_differences(before, digest_sources({root, "", false}, {"main.cpp"})),
             (std::vector<std::string>{"changed: main.cpp", "added: y.hpp", "removed: x.hpp"}));
 }
 
-TEST_F(Tree, AnEditedTotalIsSeen) {
-  put("main.cpp", "int x;\n");
-  SourceDigest record = digest_sources(root, {"main.cpp"});
-  record.total[0] = record.total[0] == '0' ? '1' : '0';
-  EXPECT_EQ(digest_differences(record, digest_sources(root, {"main.cpp"})).size(), 1u);
+TEST_F(Tree, OfAModuleOnlyItsOwnSideIsFollowed) {
+  put("references/r.cu", "#include \"cases/t.hpp\"\n#include \"references/p.hpp\"\n");
+  put("cases/t.hpp", "int t;\n");
+  put("cases/t.cpp", "int tolerance;\n");
+  put("references/p.hpp", "int p();\n");
+  put("references/p.cu", "int p() { return 1; }\n");
+  EXPECT_EQ(source_dependencies({root, "", true}, {"references/r.cu"}),
+            (std::set<std::string>{"references/r.cu", "cases/t.hpp", "references/p.hpp", "references/p.cu"}));
+}
+
+// A mutant's patched copies come first, as on its include path.
+TEST_F(Tree, AnOverlayReplacesWhatItHolds) {
+  put("main.cpp", "#include \"x.hpp\"\n");
+  put("x.hpp", "int x = 1;\n");
+  put("patched/x.hpp", "int x = 2;\n");
+  const std::string plain = digest_sources({root, "", false}, {"main.cpp"}).total;
+  EXPECT_NE(digest_sources({root, root + "/patched", false}, {"main.cpp"}).total, plain);
+  put("patched/x.hpp", "int x = 1;  // the same\n");
+  EXPECT_EQ(digest_sources({root, root + "/patched", false}, {"main.cpp"}).total, plain);
 }
 
 TEST_F(Tree, IncludeCyclesEnd) {
   put("a.hpp", "#pragma once\n#include \"b.hpp\"\n");
   put("b.hpp", "#pragma once\n#include \"a.hpp\"\n");
-  EXPECT_EQ(source_dependencies(root, {"a.hpp"}).size(), 2u);
+  EXPECT_EQ(source_dependencies({root, "", false}, {"a.hpp"}).size(), 2u);
 }
 
 TEST_F(Tree, AMissingIncludeIsAnErrorThatNamesTheIncluder) {
@@ -202,7 +218,7 @@ TEST(RealSources, CoverTheCompilersDependencyList) {
   while (const std::size_t n = std::fread(buffer.data(), 1, buffer.size(), pipe.get()))
     output.append(buffer.data(), n);
   std::istringstream words(output);
-  const std::set<std::string> ours = source_dependencies(root, {source});
+  const std::set<std::string> ours = source_dependencies({root, "", false}, {source});
   std::size_t compared = 0;
   for (std::string word; words >> word;) {
     if (word == "\\" || word.back() == ':') continue;
@@ -211,7 +227,7 @@ TEST(RealSources, CoverTheCompilersDependencyList) {
     ++compared;
   }
   EXPECT_GE(compared, 5u) << command << "\n" << output;
-  for (const std::string& file : ours) EXPECT_NO_THROW(digest_sources(root, {file})) << file;
+  for (const std::string& file : ours) EXPECT_NO_THROW(digest_sources({root, "", false}, {file})) << file;
 }
 
 }  // namespace

@@ -1,5 +1,5 @@
-// The serial baseline of velocity_gradient_mpm, validated on its own: by hand, by exact fields, and against the same
-// gradient in g2p_mpm.
+// The serial baseline of velocity_gradient_mpm, validated on its own: by hand, by exact fields, and against
+// the same gradient in g2p_mpm.
 #include <gtest/gtest.h>
 
 #include <array>
@@ -15,17 +15,19 @@ namespace {
 using testing::run_module;
 using Vec3 = std::array<double, 3>;
 
-const Task& task() { return find_task("velocity_gradient_mpm"); }
+const Task& task() {
+  return find_task("velocity_gradient_mpm");
+}
 
 template <class Field>
 Problem problem(std::int64_t side, double dx, const std::vector<Vec3>& cells, Field&& field) {
-  Problem p = make_problem(task().contract, {{"n", static_cast<std::int64_t>(cells.size())},
-                                             {"nx", side},
-                                             {"ny", side},
-                                             {"nz", side}});
+  Problem p = make_problem(
+      task().contract,
+      {{"n", static_cast<std::int64_t>(cells.size())}, {"nx", side}, {"ny", side}, {"nz", side}});
   p.set_scalar("dx", dx);
   for (std::size_t q = 0; q < cells.size(); ++q) {
-    for (std::size_t d = 0; d < 3; ++d) p.inputs[0].as<float>()[3 * q + d] = static_cast<float>(cells[q][d] * dx);
+    for (std::size_t d = 0; d < 3; ++d)
+      p.inputs[0].as<float>()[3 * q + d] = static_cast<float>(cells[q][d] * dx);
   }
   for (std::int64_t node = 0; node < side * side * side; ++node) {
     const Vec3 u = field(static_cast<double>(node / side / side), static_cast<double>(node / side % side),
@@ -42,8 +44,8 @@ Vec3 noise(double i, double j, double k) {
 }
 
 TEST(VelocityGradientMpmBaseline, OneNodeByHand) {
-  // A particle on node (2,2,2), dx = 1/2: slopes (-1/2, 0, 1/2) per cell, weights (1/8, 3/4, 1/8). Only node (2,3,2) moves,
-  // with u_z = 4: dv_z/dy = 4 x 3/4 x 1/2 x 3/4 / (1/2) = 9/4, all else 0.
+  // A particle on node (2,2,2), dx = 1/2: slopes (-1/2, 0, 1/2) per cell, weights (1/8, 3/4, 1/8). Only node
+  // (2,3,2) moves, with u_z = 4: dv_z/dy = 4 x 3/4 x 1/2 x 3/4 / (1/2) = 9/4, all else 0.
   const Problem p = problem(5, 0.5, {{2, 2, 2}}, [](double i, double j, double k) {
     return i == 2 && j == 3 && k == 2 ? Vec3{0, 0, 4} : Vec3{0, 0, 0};
   });
@@ -53,9 +55,10 @@ TEST(VelocityGradientMpmBaseline, OneNodeByHand) {
 
 TEST(VelocityGradientMpmBaseline, LinearFieldIsExactForAnySpacing) {
   for (const double dx : {0x1p-8, 0.1, 3.0}) {
-    const Problem p = problem(7, dx, {{2.3125, 3.75, 2.5}, {3.25, 2.0, 4.0}}, [](double i, double j, double k) {
-      return Vec3{i - 2 * j, 3 * k + 0.5 * i, j};
-    });
+    const Problem p =
+        problem(7, dx, {{2.3125, 3.75, 2.5}, {3.25, 2.0, 4.0}}, [](double i, double j, double k) {
+          return Vec3{i - 2 * j, 3 * k + 0.5 * i, j};
+        });
     const Arrays out = run_module(task(), "baseline_f64", p);
     const auto spacing = static_cast<double>(static_cast<float>(dx));
     const std::array<double, 9> rate{1, -2, 0, 0.5, 0, 3, 0, 1, 0};
@@ -65,8 +68,9 @@ TEST(VelocityGradientMpmBaseline, LinearFieldIsExactForAnySpacing) {
 }
 
 TEST(VelocityGradientMpmBaseline, AConstantFieldHasNone) {
-  const Problem p = problem(5, 0x1p-8, {{1.1, 2.2, 1.7}, {-7, 2, 11}},
-                            [](double, double, double) { return Vec3{1000.1, -0.3, 1e-3}; });
+  const Problem p = problem(5, 0x1p-8, {{1.1, 2.2, 1.7}, {-7, 2, 11}}, [](double, double, double) {
+    return Vec3{1000.1, -0.3, 1e-3};
+  });
   const Arrays out = run_module(task(), "baseline_f32", p);
   for (std::int64_t e = 0; e < out[0].size(); ++e) EXPECT_EQ(out[0].value(e), 0);
 }

@@ -6,12 +6,11 @@
 #include <algorithm>
 #include <cmath>
 #include <functional>
-#include <limits>
-#include <memory>
 
 #include "cases/collision_query/cloth_sheets_inputs.hpp"
 #include "core/contract/task.hpp"
 #include "core/generators/random.hpp"
+#include "core/judge/checks.hpp"
 #include "core/judge/comparators.hpp"
 
 namespace gpuphys::ccd_ee {
@@ -104,96 +103,67 @@ Check relative_l2_of_toi_minus_1() {
 constexpr double kLocalTolerance = 1e-4;
 
 Check local_error() {
-  return {"toi_local",
-          CheckKind::local,
-          "toi",
-          "largest error",
-          kLocalTolerance,
-          "inputs keep no event whose time float32 rounding, taken at sixteen units of the largest term of "
-          "the cubic, could move by more than 5e-4; what is seen are one to two units",
-          true,
-          [](const Judged& j) {
-            const HostArray &got = find(j.outputs, "toi", "outputs"), &truth = find(*j.truth, "toi", "truth");
-            Measured worst;
-            worst.error = -1;
-            for (std::int64_t i = 0; i < got.size(); ++i) {
-              const double e = std::abs(got.value(i) - rounded(truth, i));
-              if (!(e <= worst.error)) {
-                worst = {e, fmt::format("worst at {}: got {:.9g}, expected {:.9g}", index_text(got, i),
-                                        got.value(i), rounded(truth, i))};
-                if (!std::isfinite(e)) break;
-              }
-            }
-            return worst;
-          }};
+  return worst_over(
+      {.name = "toi_local",
+       .array = "toi",
+       .quantity = "largest error",
+       .tolerance = kLocalTolerance,
+       .why = "inputs keep no event whose time float32 rounding, taken at sixteen units of the "
+              "largest term of the cubic, could move by more than 5e-4; what is seen are one to "
+              "two units"},
+      [](const Judged& j) {
+        const HostArray &got = output(j, "toi"), &expected = truth(j, "toi");
+        return Items{got.size(), [&](std::int64_t i) { return got.value(i) - rounded(expected, i); },
+                     [&](std::int64_t i) {
+                       return fmt::format("worst at {}: got {:.9g}, expected {:.9g}", index_text(got, i),
+                                          got.value(i), rounded(expected, i));
+                     }};
+      });
 }
 
 Check mismatched_events() {
-  return {"toi_mismatched_events",
-          CheckKind::local,
-          "toi",
-          "edges with an event in one solution only, or with times more than 1e-3 apart",
-          0.5,
-          "none: inputs hold no event that rounding in float32 can add or remove",
-          true,
-          [](const Judged& j) {
-            const HostArray &got = find(j.outputs, "toi", "outputs"), &truth = find(*j.truth, "toi", "truth");
-            Measured m;
-            for (std::int64_t i = 0; i < got.size(); ++i) {
-              const double g = got.value(i), r = rounded(truth, i);
-              if ((g < 1) == (r < 1) && std::abs(g - r) <= 1e-3) continue;
-              if (m.error == 0)
-                m.detail = fmt::format("first at {}: got {:.9g}, expected {:.9g}", index_text(got, i), g, r);
-              m.error += 1;
-            }
-            return m;
-          }};
+  return count_where(
+      {.name = "toi_mismatched_events",
+       .array = "toi",
+       .quantity = "edges with an event in one solution only, or with times more than 1e-3 apart",
+       .tolerance = 0.5,
+       .why = "none: inputs hold no event that rounding in float32 can add or remove"},
+      [](const Judged& j) {
+        const HostArray &got = output(j, "toi"), &expected = truth(j, "toi");
+        return Items{got.size(),
+                     [&](std::int64_t i) {
+                       const double g = got.value(i), r = rounded(expected, i);
+                       return (g < 1) == (r < 1) && std::abs(g - r) <= 1e-3 ? 0.0 : 1.0;
+                     },
+                     [&](std::int64_t i) {
+                       return fmt::format("first at {}: got {:.9g}, expected {:.9g}", index_text(got, i),
+                                          got.value(i), rounded(expected, i));
+                     }};
+      });
 }
 
 /// Every output within [0, 1].
 Check within_the_step() {
-  return {"within_the_step",
-          CheckKind::invariant,
-          "toi",
-          "number of values outside [0, 1]",
-          0.5,
-          "an impact outside the step is none of it",
-          false,
-          [](const Judged& j) {
-            const HostArray& toi = find(j.outputs, "toi", "outputs");
-            Measured m;
-            for (std::int64_t i = 0; i < toi.size(); ++i) {
-              if (toi.value(i) >= 0 && toi.value(i) <= 1) continue;
-              if (m.error == 0) m.detail = fmt::format("{} = {:.9g}", index_text(toi, i), toi.value(i));
-              m.error += 1;
-            }
-            return m;
-          }};
+  return within("toi", 0, 1, "an impact outside the step is none of it", "within_the_step");
 }
 
 /// Every output equals what `expected` says of its edge, within `tolerance`.
 Check known_times(std::string name, double tolerance, std::string why,
                   std::function<double(std::int64_t)> expected) {
-  return {std::move(name),
-          CheckKind::invariant,
-          "toi",
-          "largest distance from the known time",
-          tolerance,
-          std::move(why),
-          false,
-          [=](const Judged& j) {
-            const HostArray& toi = find(j.outputs, "toi", "outputs");
-            Measured worst;
-            for (std::int64_t i = 0; i < toi.size(); ++i) {
-              const double e = std::abs(toi.value(i) - expected(i));
-              if (!(e <= worst.error)) {
-                worst = {e, fmt::format("{}: got {:.9g}, known {:.9g}", index_text(toi, i), toi.value(i),
-                                        expected(i))};
-                if (!std::isfinite(e)) break;
-              }
-            }
-            return worst;
-          }};
+  return equals_known(
+      {.name = std::move(name),
+       .kind = CheckKind::invariant,
+       .array = "toi",
+       .quantity = "largest distance from the known time",
+       .tolerance = tolerance,
+       .why = std::move(why),
+       .needs_truth = false},
+      [expected = std::move(expected)](const Judged& j) {
+        std::vector<double> known;
+        for (std::int64_t e = 0; e < output(j, "toi").size(); ++e) known.push_back(expected(e));
+        return known;
+      },
+      1);
 }
 
 Check no_events(std::string why) {
@@ -277,31 +247,119 @@ InputSet near_the_ends() {
         }
         return problem_from(mesh);
       },
-      {{"either_answer", CheckKind::invariant, "toi", "largest distance from the nearer of t = height and 1",
-        4e-6, "the impact is found at its time or not at all", false,
-        [](const Judged& j) {
-          const HostArray& toi = find(j.outputs, "toi", "outputs");
-          Measured worst;
-          for (std::int64_t i = 0; i < toi.size(); ++i) {
-            const double e = std::min(std::abs(toi.value(i) - rod_time(i / 2)), std::abs(toi.value(i) - 1));
-            if (!(e <= worst.error)) {
-              worst = {e, fmt::format("{}: got {:.9g}, height {:.9g}", index_text(toi, i), toi.value(i),
-                                      rod_time(i / 2))};
-              if (!std::isfinite(e)) break;
-            }
-          }
-          return worst;
-        }},
-       {"agreement_of_the_pair", CheckKind::invariant, "toi", "largest difference between the two rods",
-        1e-12, "an event is found for both or for neither", false,
-        [](const Judged& j) {
-          const HostArray& toi = find(j.outputs, "toi", "outputs");
-          Measured worst;
-          for (std::int64_t i = 0; i + 1 < toi.size(); i += 2)
-            worst.error = std::max(worst.error, std::abs(toi.value(i) - toi.value(i + 1)));
-          return worst;
-        }}},
+      {worst_over({.name = "either_answer",
+                   .kind = CheckKind::invariant,
+                   .array = "toi",
+                   .quantity = "largest distance from the nearer of t = height and 1",
+                   .tolerance = 4e-6,
+                   .why = "the impact is found at its time or not at all",
+                   .needs_truth = false},
+                  [](const Judged& j) {
+                    const HostArray& toi = output(j, "toi");
+                    return Items{toi.size(), [&](std::int64_t i) {
+                                   return std::min(std::abs(toi.value(i) - rod_time(i / 2)),
+                                                   std::abs(toi.value(i) - 1));
+                                 }};
+                  }),
+       worst_over({.name = "agreement_of_the_pair",
+                   .kind = CheckKind::invariant,
+                   .array = "toi",
+                   .quantity = "largest difference between the two rods",
+                   .tolerance = 1e-12,
+                   .why = "an event is found for both or for neither",
+                   .needs_truth = false},
+                  [](const Judged& j) {
+                    const HostArray& toi = output(j, "toi");
+                    return Items{toi.size() / 2,
+                                 [&](std::int64_t i) { return toi.value(2 * i) - toi.value(2 * i + 1); }};
+                  })},
       false);
+}
+
+// Pairs whose answer exact comparisons decide, in numbers that float32 holds exactly, and so does the cubic.
+struct KnownPairs {
+  EdgeMesh mesh;
+  std::vector<double> times;  // of each edge
+
+  void add(const Point& a0, const Point& b0, const Point& a1, const Point& b1) {
+    add_edge(mesh, a0, b0, a1, b1);
+  }
+  void close_pair(double time) { times.insert(times.end(), {time, time}); }
+};
+
+// Rods that meet exactly at an end of one or of both: the interval is closed, at each of its ends.
+KnownPairs exact_ends() {
+  KnownPairs k;
+  for (std::int64_t pair = 0; pair < 48; ++pair) {
+    const double fractions[] = {0.0, 0.5, 1.0, -0.0625, 1.0625};
+    const double s = fractions[pair % 5], r = fractions[pair / 5 % 5], time = 0.25 + 0.125 * (pair % 3);
+    add_rods(k.mesh, pair, s, r, 1.0, time);
+    k.close_pair(s >= 0 && s <= 1 && r >= 0 && r <= 1 ? time : 1.0);
+  }
+  return k;
+}
+
+// f = 0 at t = 0, where zero counts as positive, and then of either sign; f = -(t - 1/2)^2, which touches
+// zero from below, an event, and its negative, none.
+KnownPairs exact_zeros() {
+  KnownPairs k;
+  for (int pair = 0; pair < 32; ++pair) {
+    const double x = 16.0 * (pair % 8), y = 16.0 * (pair / 8), side = pair % 2 == 0 ? 1.0 : -1.0;
+    if (pair % 4 < 2) {
+      // In contact at the start, then apart: f falls below zero for one direction only.
+      k.add({x, y, 0}, {x + 2, y, 0}, {x, y, 0}, {x + 2, y, 0});
+      k.add({x + 1, y - 1, 0}, {x + 1, y + 1, 0}, {x + 1, y - 1, side}, {x + 1, y + 1, side});
+      k.close_pair(side < 0 ? 0.0 : 1.0);
+    } else {
+      // u = (1, 0, side t), v = (0, 2, 0), w = (t, -1, side (t - 1/4)): f = 2 side (t - 1/4 - t^2).
+      k.add({x, y, 0}, {x + 1, y, 0}, {x, y, 0}, {x + 1, y, side});
+      k.add({x, y - 1, -0.25 * side}, {x, y + 1, -0.25 * side}, {x + 1, y - 1, 0.75 * side},
+            {x + 1, y + 1, 0.75 * side});
+      k.close_pair(side > 0 ? 0.5 : 1.0);
+    }
+  }
+  return k;
+}
+
+// Rods that cross at an angle of 2^-k; up to about 1e-6 they count as parallel.
+KnownPairs small_angles() {
+  KnownPairs k;
+  for (int pair = 0; pair < 24; ++pair) {
+    const double x = 16.0 * (pair % 6), z = 16.0 * (pair / 6), angle = std::ldexp(1.0, -2 - pair),
+                 time = 0.3125;
+    // About y = 0, where float32 holds the small ends.
+    k.add({x, 0, z}, {x + 1, 0, z}, {x, 0, z}, {x + 1, 0, z});
+    k.add({x, -0.5 * angle, z + time}, {x + 1, 0.5 * angle, z + time}, {x, -0.5 * angle, z + time - 1},
+          {x + 1, 0.5 * angle, z + time - 1});
+    k.close_pair(angle > 1e-6 ? time : 1.0);
+  }
+  return k;
+}
+
+// Rods at the corners and in the middle of a box, all of which an impact stops: what lies in the first and in
+// the last layer of cells is like the rest.
+KnownPairs corners() {
+  KnownPairs k;
+  for (int pair = 0; pair < 125; ++pair) {
+    const double x = 4.0 * (pair % 5), y = 4.0 * (pair / 5 % 5), z = 4.0 * (pair / 25),
+                 time = 0.125 * (1 + pair % 7);
+    k.add({x, y, z}, {x + 2, y, z}, {x, y, z}, {x + 2, y, z});
+    k.add({x + 2, y - 2, z + time}, {x + 2, y, z + time}, {x + 2, y - 2, z + time - 1},
+          {x + 2, y, z + time - 1});
+    k.close_pair(time);
+  }
+  return k;
+}
+
+InputSet known_set(const std::string& stress, const std::string& about, KnownPairs (*make)(),
+                   bool use_task_checks, double tolerance = 1e-6) {
+  return hard(
+      stress, about, [make] { return problem_from(make().mesh); },
+      {known_times("known_times", tolerance,
+                   "30 bisections leave 2^-31, a touching cubic is zero to rounding for 3e-4 around; all "
+                   "else is exact in float32",
+                   [times = make().times](std::int64_t e) { return times[static_cast<std::size_t>(e)]; })},
+      use_task_checks);
 }
 
 Problem parallel_edges() {
@@ -351,6 +409,29 @@ Problem tumbling(std::int64_t count, double size, std::uint64_t seed) {
       const std::uint64_t i = 3 * static_cast<std::uint64_t>(v) + d;
       m.start[d] = size * uniform11(seed, 10 + 100 * static_cast<std::uint64_t>(attempt), i);
       m.end[d] = size * uniform11(seed, 11 + 100 * static_cast<std::uint64_t>(attempt), i);
+    }
+    return m;
+  }));
+}
+
+// Pairs 8 m apart of which one edge hardly moves while the other turns over: cubics whose highest coefficient
+// is exactly zero, or small against the others.
+Problem nearly_quadratic() {
+  return problem_from(loose_edges(900, [](std::int64_t v, int attempt) {
+    constexpr double amount[] = {0.0, 1e-5, 1e-3};
+    const std::int64_t pair = v / 4;
+    const double turn = v % 4 < 2 ? amount[pair % 3] : 1.0;
+    Motion m;
+    for (std::size_t d = 0; d < 3; ++d) {
+      const auto draw = [&](std::uint64_t stream) {
+        return uniform11(61, stream + 100 * static_cast<std::uint64_t>(attempt),
+                         3 * static_cast<std::uint64_t>(v) + d);
+      };
+      const double centre = d == 0   ? 8.0 * static_cast<double>(pair % 21 - 10)
+                            : d == 1 ? 8.0 * static_cast<double>(pair / 21 - 10)
+                                     : 0.0;
+      m.start[d] = centre + draw(1);
+      m.end[d] = turn == 0 ? m.start[d] : turn < 1 ? m.start[d] + turn * draw(2) : centre + draw(2);
     }
     return m;
   }));
@@ -430,6 +511,26 @@ std::vector<InputSet> hard_cases() {
       "tumbling_in_one_cell",
       "500 edges that turn over in one spot: all pairs overlap, up to three coplanar times",
       [] { return tumbling(500, 1.0, 51); }, {}, true));
+  sets.push_back(known_set("exact_ends",
+                           "rods that meet exactly at an end of one or both, or a sixteenth beyond it",
+                           exact_ends, true));
+  sets.push_back(known_set("exact_zeros",
+                           "f exactly zero at t = 0, or touching zero from below or above at t = 1/2",
+                           exact_zeros, false, 5e-4));
+  sets.push_back(known_set("small_angles", "rods that cross at angles of 2^-2 to 2^-25", small_angles, true));
+  sets.push_back(known_set("corners", "impacts at all corners of the scene", corners, true));
+  sets.push_back(hard("nearly_quadratic", "an edge that rests, or nearly, and one that turns over: 450 pairs",
+                      nearly_quadratic, {}, true));
+  sets.push_back(hard(
+      "crowd", "1300 edges that turn over in one spot: more than a thousand candidates each",
+      [] { return tumbling(1300, 1.0, 52); }, {}, true));
+  sets.push_back(hard(
+      "millimetre", "edges of a millimetre", [] { return tumbling(150, 1e-3, 53); }, {}, true));
+  sets.push_back(hard(
+      "nanometre", "edges of a nanometre", [] { return tumbling(120, 1e-9, 54); }, {}, true));
+  sets.push_back(hard(
+      "megametre", "coordinates up to the largest that are valid", [] { return tumbling(100, 1e6, 55); }, {},
+      true));
   sets.push_back(hard("long_edges", "six edges a hundred times as long as the other 1494 around them",
                       long_edges, {}, true));
   sets.push_back(hard("far_from_the_origin", "sheets at 1e4: positions resolve 1e-3, differences are exact",
@@ -441,8 +542,6 @@ std::vector<InputSet> hard_cases() {
 
 Task make_task() {
   Task task;
-  task.name = "ccd_ee";
-  task.family = "collision_query";
   task.title = "Continuous edge-edge collision detection in moving cloth";
   task.paper_number = 43;
   task.contract = describe<Inputs, Outputs<float>>();

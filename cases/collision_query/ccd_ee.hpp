@@ -12,9 +12,9 @@ struct Inputs {
 
   template <class V>
   void visit(V&& v) {
-    v.array("x0", x0, "n,3", "m");
-    v.array("x1", x1, "n,3", "m");
-    v.array("edges", edges, "m,2", "");
+    v.array("x0", x0, "n,3", "m", between(-1e6, 1e6));
+    v.array("x1", x1, "n,3", "m", between(-1e6, 1e6));
+    v.array("edges", edges, "m,2", "", index_into("n"));
   }
 };
 
@@ -24,7 +24,7 @@ struct Outputs {
 
   template <class V>
   void visit(V&& v) {
-    v.array("toi", toi, "m", "");
+    v.array("toi", toi, "m", "", between(0, 1));
   }
 };
 

@@ -85,6 +85,10 @@ std::vector<KnownPair> known_pairs() {
       {{-4, 0, 0}, {0, 0, 0}, {0, 2, 0}, o, e, {0, 0, 0}, 0.5},
       {o, e, {2, 0, 7}, o, e, {2, 0, -9}, 0.375},  // in and out again: the first time
       {{-0.0, -0.0, 0}, e, {2, -0.0, 3}, {0, -0.0, -0.0}, e, {2, 0, -1}, 0.5},
+      // An edge that has grown to 2^-18 of its length at contact, and one to 2^-22: below 2^-20 it has none.
+      {o, o, {0x1p-18, 0, 2}, o, e, {0x1p-18, 0, 2 - 0x1p18}, 0x1p-18},
+      {o, o, {0x1p-22, 0, 2}, o, e, {0x1p-22, 0, 2 - 0x1p22}, 1},
+      // The last one: it reaches beside where others would stand.
       {o, {0, 4096, 0}, {0, 1024, 2}, o, {0, 4096, 0}, {0, 1024, -2}, 0.25},
   };
 }

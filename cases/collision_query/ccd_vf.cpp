@@ -58,6 +58,8 @@ std::vector<KnownTriangle> known_triangles() {
   using Triangle = std::array<Point, 3>;
   const Triangle rest{{{0, 0, 0}, {4, 0, 0}, {0, 4, 0}}}, odd{{{0, 0, 0}, {0, 4, 0}, {4, 0, 0}}};
   const Triangle line{{{0, 0, 0}, {1, 0, 0}, {3, 0, 0}}}, point{{{1, 1, 1}, {1, 1, 1}, {1, 1, 1}}};
+  const Triangle thin{{{0, 0, 0}, {4, 0, 0}, {4, 0x1p-17, 0}}},
+      thinner{{{0, 0, 0}, {4, 0, 0}, {4, 0x1p-19, 0}}};
   const Triangle raised{{{0, 0, 4}, {4, 0, 4}, {0, 4, 4}}}, lowered{{{0, 0, -4}, {4, 0, -4}, {0, 4, -4}}};
   const auto falls = [](double x, double y, double time) {
     return KnownTriangle::Vertex{{x, y, 1}, {x, y, -1}, time};
@@ -79,6 +81,9 @@ std::vector<KnownTriangle> known_triangles() {
       // Triangles without an area.
       {line, line, {falls(0.5, 0, 1), falls(1, 0, 1)}},
       {point, point, {falls(1, 1, 1)}},
+      // Angles of 2^-19, a thin triangle, and of 2^-21, none any more.
+      {thin, thin, {falls(3, 0x1p-18, 0.5), falls(3, 0x1p-16, 1)}},
+      {thinner, thinner, {falls(3, 0x1p-20, 1)}},
       // The triangle passes the vertex.
       {raised,
        lowered,

@@ -5,8 +5,8 @@
 #include <cmath>
 #include <utility>
 
-#include "core/judge/comparators.hpp"
 #include "core/generators/random.hpp"
+#include "core/judge/comparators.hpp"
 
 namespace gpuphys::toi {
 

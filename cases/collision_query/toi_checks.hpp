@@ -7,8 +7,8 @@
 #include <vector>
 
 #include "cases/collision_query/cloth_sheets_inputs.hpp"
-#include "core/judge/checks.hpp"
 #include "core/contract/task.hpp"
+#include "core/judge/checks.hpp"
 
 namespace gpuphys::toi {
 

@@ -7,8 +7,8 @@
 #include <memory>
 #include <numbers>
 
-#include "core/generators/cut_cell_cylinder.hpp"
 #include "core/base/parallel.hpp"
+#include "core/generators/cut_cell_cylinder.hpp"
 #include "core/generators/random.hpp"
 
 namespace gpuphys::mac_fluid {
@@ -227,8 +227,8 @@ InputSet cylinder_set(const std::string& name, SetKind kind, Size size, const Co
   s.name = name;
   s.kind = kind;
   s.size = size;
-  s.about = fmt::format("{}x{}x{} cells, cylinder of radius {} nx, {} Taylor-Green modes up to {}, seed {}", n[0],
-                        n[1], n[2], radius, modes.count, modes.most, modes.seed);
+  s.about = fmt::format("{}x{}x{} cells, cylinder of radius {} nx, {} Taylor-Green modes up to {}, seed {}",
+                        n[0], n[1], n[2], radius, modes.count, modes.most, modes.seed);
   s.make = [=] {
     Problem p = make_fluid(contract, n, cylinder(n, radius));
     for (const auto& [scalar, value] : scalars) p.set_scalar(scalar, value);

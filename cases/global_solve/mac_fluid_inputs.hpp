@@ -9,8 +9,8 @@
 #include <vector>
 
 #include "cases/global_solve/mac_fluid.hpp"
-#include "core/judge/checks.hpp"
 #include "core/contract/task.hpp"
+#include "core/judge/checks.hpp"
 
 namespace gpuphys::mac_fluid {
 
@@ -42,7 +42,8 @@ void set_velocity(Problem&, const Velocity&);
 void set_noise(Problem&, std::uint64_t seed, double size);
 
 /// Taylor-Green modes in the closed box: of velocity without divergence, amplitude per mode a unit vector,
-/// half wave numbers 1 to `most` along each axis, one common factor so that the rms over the open faces is 1 m/s.
+/// half wave numbers 1 to `most` along each axis, one common factor so that the rms over the open faces is 1
+/// m/s.
 struct Modes {
   std::uint64_t seed;
   int count;

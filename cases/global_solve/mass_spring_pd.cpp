@@ -11,8 +11,8 @@
 
 #include "cases/local_interaction/elastic_hard_inputs.hpp"
 #include "cases/local_interaction/elastic_inputs.hpp"
-#include "core/generators/random.hpp"
 #include "core/contract/task.hpp"
+#include "core/generators/random.hpp"
 
 namespace gpuphys::mass_spring_pd {
 namespace {
@@ -46,10 +46,9 @@ Deformation hidden_field() {
 
 // A bound that small sets keep: what FP32 solves show, with some room.
 Check tight_change() {
-  return relative_l2_of_change(
-      "v_new", "v", 7e-5,
-      "a tenth of the paper's tolerance for v: global steps solved to a part in a thousand "
-      "leave some 2e-5, FP32 rounding 2e-6");
+  return relative_l2_of_change("v_new", "v", 7e-5,
+                               "a tenth of the paper's tolerance for v: global steps solved to 1e-5 and FP32 "
+                               "rounding leave some 1e-5");
 }
 
 InputSet lattice_set(std::string name, SetKind kind, Size size, std::array<std::int64_t, 3> points,
@@ -103,8 +102,8 @@ SpringBody small_lattice(std::uint64_t seed) {
 
 InputSet hard(const std::string& stress, const std::string& about, std::function<SpringBody()> make,
               Scalars s = {}, bool tight = true) {
-  std::vector<Check> invariants{elastic::momentum_check(
-      2e-5, "every global step keeps it; what is left of a solve to a part in a thousand may not")};
+  std::vector<Check> invariants{
+      elastic::momentum_check(2e-5, "every global step keeps it; what is left of a solve may not")};
   if (tight) invariants.push_back(tight_change());
   return hard_case(
       stress, about, [=] { return problem_of(make(), s); }, std::move(invariants));
@@ -128,14 +127,14 @@ SpringBody offset() {
   return b;
 }
 
-// Two blocks that know nothing of each other, one with a hundredth of the other's masses.
+// Two blocks that know nothing of each other, one with a tenth of the other's masses.
 SpringBody two_parts() {
   SpringBody b = small_lattice(27), other = small_lattice(28);
   const auto n = static_cast<std::int32_t>(b.x.size());
   for (std::size_t i = 0; i < other.x.size(); ++i) {
     b.x.push_back({other.x[i][0], other.x[i][1] - 40, other.x[i][2]});
     b.v.push_back(other.v[i]);
-    b.mass.push_back(0.01 * other.mass[i]);
+    b.mass.push_back(0.1 * other.mass[i]);
   }
   for (std::size_t j = 0; j < other.springs.size(); ++j) {
     b.springs.push_back({other.springs[j][0] + n, other.springs[j][1] + n});
@@ -184,7 +183,7 @@ std::vector<InputSet> hard_sets() {
                   return problem_of(small_lattice(35), {2.5e4, 0.02, 0});
                 },
                 {elastic::velocity_kept_check(2e-6, "dt v / dt, rounded twice, of up to 11 m/s")}));
-  sets.push_back(hard("converged", "300 iterations", lattice(36), {2.5e4, 0.02, 300}));
+  sets.push_back(hard("converged", "120 iterations", lattice(36), {2.5e4, 0.02, 120}));
   sets.push_back(hard("masses", "masses over three decades", masses_over_three_decades));
   sets.push_back(
       hard("zero_rest", "rest lengths of zero: the problem is linear", zero_rest, {2.5e3, 0.02, 3}));
@@ -199,11 +198,10 @@ std::vector<InputSet> hard_sets() {
   sets.push_back(hard("hub_1000", "one particle holds 1000 springs",
                       [] { return elastic::hub_of_springs(1000, 25); }, {2.5e4, 0.02, 2}));
   sets.push_back(hard("random_graph", "1025 particles, 4007 springs between any two, one iteration",
-                      [] { return elastic::random_graph(30, 1025, 4007); }, {100, 0.1, 1}));
+                      [] { return elastic::random_graph(30, 1025, 4007); }, {10, 0.02, 1}));
   sets.push_back(hard("odd_33", "33 particles, 31 springs, one iteration",
-                      [] { return elastic::random_graph(31, 33, 31); }, {100, 0.1, 1}));
-  sets.push_back(
-      hard("two_parts", "two lattices without a connection, masses a hundred times apart", two_parts));
+                      [] { return elastic::random_graph(31, 33, 31); }, {100, 0.02, 1}));
+  sets.push_back(hard("two_parts", "two lattices without a connection, masses ten times apart", two_parts));
   sets.push_back(hard("offset_1e4", "a lattice 10 km off the origin along each axis", offset));
   sets.push_back(hard("one_spring", "two particles, one iteration by hand", one_spring, {4, 0.5, 1}, false));
   sets.back().invariants.push_back(one_spring_known());
@@ -216,16 +214,14 @@ std::vector<InputSet> hard_sets() {
 
 Task make_task() {
   Task t;
-  t.name = "mass_spring_pd";
-  t.family = "global_solve";
   t.title = "Step of a mass-spring system by projective dynamics";
   t.paper_number = 6;
   t.contract = describe<Inputs, Outputs<float>>();
   t.sets = {
       lattice_set("public", SetKind::open, Size::paper, {96, 96, 96}, 16, public_field()),
       lattice_set("hidden", SetKind::hidden, Size::paper, {96, 96, 96}, 16, hidden_field()),
-      lattice_set("public_smoke", SetKind::open, Size::smoke, {19, 23, 21}, 5, public_field()),
-      lattice_set("hidden_smoke", SetKind::hidden, Size::smoke, {22, 18, 25}, 4, hidden_field()),
+      lattice_set("public_smoke", SetKind::open, Size::smoke, {13, 17, 15}, 5, public_field()),
+      lattice_set("hidden_smoke", SetKind::hidden, Size::smoke, {16, 12, 19}, 4, hidden_field()),
   };
   for (InputSet& s : hard_sets()) t.sets.push_back(std::move(s));
   constexpr double v_local = 1e-3;

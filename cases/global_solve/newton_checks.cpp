@@ -89,8 +89,8 @@ Check local_residual_check(const Elastic& elastic, double tolerance, const std::
                       const double before = norm(gradient(elastic, j.problem, inertial(j.problem)));
                       std::vector<double> g = gradient(elastic, j.problem, values_of(output(j, "x_new")));
                       const double rms = before > 0 ? before / std::sqrt(static_cast<double>(g.size())) *
-                                                         (j.problem.scalar("tol") / 1e-3)
-                                                   : 1;
+                                                          (j.problem.scalar("tol") / 1e-3)
+                                                    : 1;
                       const auto count = static_cast<std::int64_t>(g.size());
                       return Items{count, [g = std::move(g), rms](std::int64_t c) {
                                      return g[static_cast<std::size_t>(c)] / rms;

@@ -10,11 +10,11 @@
 #include <memory>
 
 #include "cases/grid_lattice/drops.hpp"
-#include "core/generators/abc_flow.hpp"
-#include "core/judge/checks.hpp"
 #include "core/base/parallel.hpp"
-#include "core/generators/random.hpp"
 #include "core/contract/task.hpp"
+#include "core/generators/abc_flow.hpp"
+#include "core/generators/random.hpp"
+#include "core/judge/checks.hpp"
 
 namespace gpuphys::cahn_hilliard {
 namespace {

@@ -34,9 +34,9 @@ struct CollisionInputs {
 
   template <class V>
   void visit(V&& v) {
-    v.array("f", f, shape<Q>(), "1");
-    v.scalar("tau_plus", tau_plus, "1");
-    v.scalar("magic", magic, "1");
+    v.array("f", f, shape<Q>(), "1", between(-1e30, 1e30));
+    v.scalar("tau_plus", tau_plus, "1", between(0.5001, 1e4));
+    v.scalar("magic", magic, "1", between(1e-4, 1e4));
   }
 };
 

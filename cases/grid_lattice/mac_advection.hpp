@@ -16,11 +16,11 @@ struct Inputs {
 
   template <class V>
   void visit(V&& v) {
-    v.array("ux", ux, "nx+1,ny,nz", "m/s");
-    v.array("uy", uy, "nx,ny+1,nz", "m/s");
-    v.array("uz", uz, "nx,ny,nz+1", "m/s");
-    v.scalar("dt", dt, "s");
-    v.scalar("dx", dx, "m");
+    v.array("ux", ux, "nx+1,ny,nz", "m/s", between(-5e37, 5e37));
+    v.array("uy", uy, "nx,ny+1,nz", "m/s", between(-5e37, 5e37));
+    v.array("uz", uz, "nx,ny,nz+1", "m/s", between(-5e37, 5e37));
+    v.scalar("dt", dt, "s", between(0, 1e30));
+    v.scalar("dx", dx, "m", positive(1e30));
   }
 };
 

@@ -200,6 +200,18 @@ Check displacement_limited(const Scheme& scheme) {
       }};
 }
 
+Problem with_step(Problem p, double dt, double dx) {
+  p.set_scalar("dt", dt);
+  p.set_scalar("dx", dx);
+  return p;
+}
+
+struct Steps {
+  const char* name;
+  Grid grid;
+  double dt, dx;
+};
+
 std::vector<InputSet> hard_cases(const Scheme& scheme) {
   std::vector<InputSet> sets;
   sets.push_back(hard_case(
@@ -246,7 +258,7 @@ std::vector<InputSet> hard_cases(const Scheme& scheme) {
                                   static_cast<std::uint64_t>((i * 64 + j) * 64 + k));
         });
       },
-      {maximum_principle()}, false));
+      {maximum_principle()}, true));
   sets.push_back(hard_case(
       "denormal", "velocities of 1e-40 m/s: below the normal range, must not be flushed to zero",
       [] {
@@ -265,6 +277,48 @@ std::vector<InputSet> hard_cases(const Scheme& scheme) {
                           [](double got, double truth) { return std::abs(got - truth) / 0x1p-149; });
         }}},
       false));
+  // Other steps and cells: nothing may rely on dt / dx = 2.
+  for (const Steps& s :
+       {Steps{"other_step_a", {13, 18, 11}, 0.013, 0.0371}, Steps{"other_step_b", {17, 9, 21}, 0.75, 0.31},
+        Steps{"no_step", {6, 9, 7}, 0.0, 0.5}}) {
+    sets.push_back(hard_case(
+        s.name, fmt::format("the Fourier field with dt = {}, dx = {}", s.dt, s.dx),
+        [s] { return with_step(fourier_problem(s.grid, 23, 16, 1.0, 64 * kDx), s.dt, s.dx); },
+        {maximum_principle()}, true));
+  }
+  // Points exactly on planes of samples along one axis, of both signs of zero, while the others are rough.
+  for (const int still : {0, 2}) {
+    sets.push_back(hard_case(
+        still == 0 ? "no_x_velocity" : "no_z_velocity",
+        "one component is zero, of either sign: points lie exactly on planes of samples along its axis",
+        [still] {
+          return problem_from({11, 14, 13}, [still](int c, std::int64_t i, std::int64_t j, std::int64_t k) {
+            const auto item = static_cast<std::uint64_t>((i * 64 + j) * 64 + k);
+            if (c == still) return item % 3 == 0 ? -0.0 : 0.0;
+            return 0.3 * uniform11(29, static_cast<std::uint64_t>(c), item);
+          });
+        },
+        {maximum_principle()}, true));
+  }
+  sets.push_back(hard_case(
+      "end_of_range",
+      "random velocities up to 5e37 m/s: differences and sums of a few are float32 numbers just so",
+      [] {
+        return with_step(problem_from({9, 7, 10},
+                                      [](int c, std::int64_t i, std::int64_t j, std::int64_t k) {
+                                        const auto item = static_cast<std::uint64_t>((i * 64 + j) * 64 + k);
+                                        const double u = uniform11(31, static_cast<std::uint64_t>(c), item);
+                                        return item % 5 == 0 ? std::copysign(5e37, u) : 5e37 * u;
+                                      }),
+                         2.5e-38, 1.0);
+      },
+      {maximum_principle()}, !scheme.limited));
+  for (const Grid grid : {Grid{65537, 1, 2}, Grid{1, 65538, 1}, Grid{2, 1, 65539}}) {
+    sets.push_back(hard_case(
+        fmt::format("grid_{}x{}x{}", grid.nx, grid.ny, grid.nz),
+        "more cells along an axis than 16 bits count",
+        [grid] { return fourier_problem(grid, 37, 16, 1.0, 128 * kDx); }, {maximum_principle()}, true));
+  }
   for (const Grid grid : {Grid{1, 1, 1}, Grid{2, 2, 2}, Grid{3, 5, 7}, Grid{65, 1, 33}}) {
     sets.push_back(hard_case(
         fmt::format("grid_{}x{}x{}", grid.nx, grid.ny, grid.nz),
@@ -381,7 +435,6 @@ std::vector<InputSet> input_sets(const Scheme& scheme) {
 Task family_task(const std::string& name, int paper_number, const Scheme& scheme) {
   Task task;
   task.name = name;
-  task.family = "grid_lattice";
   task.paper_number = paper_number;
   task.contract = contract();
   task.sets = input_sets(scheme);

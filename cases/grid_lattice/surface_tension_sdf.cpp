@@ -12,8 +12,8 @@
 #include "cases/grid_lattice/force_checks.hpp"
 #include "cases/grid_lattice/lattice_inputs.hpp"
 #include "core/base/parallel.hpp"
-#include "core/generators/random.hpp"
 #include "core/contract/task.hpp"
+#include "core/generators/random.hpp"
 
 namespace gpuphys::surface_tension_sdf {
 namespace {
@@ -306,7 +306,9 @@ Task make_task() {
   for (InputSet& s : hard_sets()) t.sets.push_back(std::move(s));
   t.checks = {
       force::relative_l2(1e-4, "the paper's table of inputs and checks"),
-      force::local(2e-3, "rounding of second differences shows 2.4e-4 of the rms at paper size; a cell left out is ten rms or more"),
+      force::local(2e-3,
+                   "rounding of second differences shows 2.4e-4 of the rms at paper size; a cell left out is "
+                   "ten rms or more"),
       outside_band(),
   };
   t.target_floor_multiple = 1.08;

@@ -12,9 +12,9 @@
 #include <vector>
 
 #include "cases/local_interaction/grain_inputs.hpp"
-#include "core/judge/checks.hpp"
-#include "core/generators/random.hpp"
 #include "core/contract/task.hpp"
+#include "core/generators/random.hpp"
+#include "core/judge/checks.hpp"
 
 namespace gpuphys::dem {
 namespace {
@@ -98,14 +98,18 @@ Vec3 vector_at(const HostArray& a, std::int64_t i) {
 Vec3 minus(const Vec3& a, const Vec3& b) {
   return {a[0] - b[0], a[1] - b[1], a[2] - b[2]};
 }
-double mass_of(const Judged& j, std::int64_t i) {
-  const double r = input(j, "radius").value(i);
-  return 4.0 / 3.0 * std::numbers::pi * j.problem.scalar("rho") * r * r * r;
-}
-double inertia_of(const Judged& j, std::int64_t i) {
-  const double r = input(j, "radius").value(i);
-  return 0.4 * mass_of(j, i) * r * r;
-}
+
+struct Weights {
+  const HostArray& radius;
+  double density;
+
+  explicit Weights(const Judged& j) : radius(input(j, "radius")), density(j.problem.scalar("rho")) {}
+  double mass(std::int64_t i) const {
+    const double r = radius.value(i);
+    return 4.0 / 3.0 * std::numbers::pi * density * r * r * r;
+  }
+  double inertia(std::int64_t i) const { return 0.4 * mass(i) * radius.value(i) * radius.value(i); }
+};
 
 constexpr double kBalance = 64 * 0x1p-24;
 
@@ -120,14 +124,15 @@ Check momentum() {
        .needs_truth = false},
       [](const Judged& j) {
         const HostArray &before = input(j, "v"), &after = output(j, "v_new");
+        const Weights weights(j);
         double scale = 0;
         for (std::int64_t i = 0; i < before.shape()[0]; ++i)
-          scale += mass_of(j, i) * (length(vector_at(before, i)) + length(vector_at(after, i)));
+          scale += weights.mass(i) * (length(vector_at(before, i)) + length(vector_at(after, i)));
         return Terms{.count = before.shape()[0],
                      .term =
-                         [&j, &before, &after](std::int64_t i) {
+                         [weights, &before, &after](std::int64_t i) {
                            const Vec3 d = minus(vector_at(after, i), vector_at(before, i));
-                           const double m = mass_of(j, i);
+                           const double m = weights.mass(i);
                            return Vec3{m * d[0], m * d[1], m * d[2]};
                          },
                      .scale = scale};
@@ -149,23 +154,24 @@ Check angular_momentum() {
         const HostArray &x = input(j, "x"), &v = input(j, "v"), &v_new = output(j, "v_new"),
                         &omega = input(j, "omega"), &omega_new = output(j, "omega_new");
         const std::int64_t n = x.shape()[0];
+        const Weights weights(j);
         Vec3 centre{0, 0, 0};
         for (std::int64_t i = 0; i < n; ++i) {
           for (std::size_t c = 0; c < 3; ++c) centre[c] += vector_at(x, i)[c] / static_cast<double>(n);
         }
         double scale = 0;
         for (std::int64_t i = 0; i < n; ++i) {
-          scale += mass_of(j, i) * length(minus(vector_at(x, i), centre)) *
+          scale += weights.mass(i) * length(minus(vector_at(x, i), centre)) *
                        (length(vector_at(v, i)) + length(vector_at(v_new, i))) +
-                   inertia_of(j, i) * (length(vector_at(omega, i)) + length(vector_at(omega_new, i)));
+                   weights.inertia(i) * (length(vector_at(omega, i)) + length(vector_at(omega_new, i)));
         }
         return Terms{.count = n,
                      .term =
-                         [&, centre](std::int64_t i) {
+                         [&x, &v, &v_new, &omega, &omega_new, centre, weights](std::int64_t i) {
                            const Vec3 a = minus(vector_at(x, i), centre);
                            const Vec3 d = minus(vector_at(v_new, i), vector_at(v, i));
                            const Vec3 w = minus(vector_at(omega_new, i), vector_at(omega, i));
-                           const double m = mass_of(j, i), inertia = inertia_of(j, i);
+                           const double m = weights.mass(i), inertia = weights.inertia(i);
                            return Vec3{m * (a[1] * d[2] - a[2] * d[1]) + inertia * w[0],
                                        m * (a[2] * d[0] - a[0] * d[2]) + inertia * w[1],
                                        m * (a[0] * d[1] - a[1] * d[0]) + inertia * w[2]};

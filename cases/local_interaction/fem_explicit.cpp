@@ -13,8 +13,8 @@
 
 #include "cases/local_interaction/elastic_hard_inputs.hpp"
 #include "cases/local_interaction/elastic_inputs.hpp"
-#include "core/generators/random.hpp"
 #include "core/contract/task.hpp"
+#include "core/generators/random.hpp"
 
 namespace gpuphys::fem_explicit {
 namespace {
@@ -238,8 +238,6 @@ std::vector<InputSet> hard_sets() {
 
 Task make_task() {
   Task t;
-  t.name = "fem_explicit";
-  t.family = "local_interaction";
   t.title = "Explicit step of Neo-Hookean tetrahedra (symplectic Euler)";
   t.paper_number = 46;
   t.contract = describe<Inputs, Outputs<float>>();

@@ -12,8 +12,8 @@
 
 #include "cases/local_interaction/elastic_hard_inputs.hpp"
 #include "cases/local_interaction/elastic_inputs.hpp"
-#include "core/generators/random.hpp"
 #include "core/contract/task.hpp"
+#include "core/generators/random.hpp"
 
 namespace gpuphys::mass_spring_explicit {
 namespace {
@@ -225,8 +225,6 @@ std::vector<InputSet> hard_sets() {
 
 Task make_task() {
   Task t;
-  t.name = "mass_spring_explicit";
-  t.family = "local_interaction";
   t.title = "Explicit step of a mass-spring system (symplectic Euler)";
   t.paper_number = 45;
   t.contract = describe<Inputs, Outputs<float>>();

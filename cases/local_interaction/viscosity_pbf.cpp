@@ -66,8 +66,8 @@ std::vector<InputSet> hard_sets(const Contract& contract) {
          return fluid::cloud(11, 2000, {0.5, 0.25, -1}, 0.55, 1);
        },
        {{"h", 2}, {"c", 0.001}});
-  hard("line_x", "3001 particles in a row along x: a box without width",
-       [] { return fluid::line(12, 3001, 0, 1); }, {{"h", 2}, {"c", 0.5}});
+  hard("line_x", "70001 particles in a row along x: a box without width",
+       [] { return fluid::line(12, 70001, 0, 1); }, {{"h", 2}, {"c", 0.5}});
   hard("line_z", "3001 particles in a row along z", [] { return fluid::line(13, 3001, 2, 1); },
        {{"h", 2}, {"c", 0.5}});
   hard("far_apart", "five blocks a thousand kilometres apart, which a grid over the box cannot resolve",

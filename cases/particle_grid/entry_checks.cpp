@@ -4,8 +4,8 @@
 
 #include <utility>
 
-#include "core/judge/checks.hpp"
 #include "core/base/parallel.hpp"
+#include "core/judge/checks.hpp"
 
 namespace gpuphys::entry_checks {
 namespace {

@@ -11,8 +11,8 @@
 
 #include "cases/particle_grid/node_velocity.hpp"
 #include "cases/particle_grid/particle_blocks.hpp"
-#include "core/judge/checks.hpp"
 #include "core/generators/random.hpp"
+#include "core/judge/checks.hpp"
 
 namespace gpuphys::g2p_mpm {
 namespace {
@@ -65,11 +65,14 @@ Check position_steps() {
       {.name = "x_new_steps",
        .kind = CheckKind::local,
        .array = "x_new",
-       .quantity = "largest |x' - truth| over (one step of float32 at the larger of |x|, |x'|, + 1e-6 of the rms "
-                   "displacement)",
+       .quantity =
+           "largest |x' - truth| over (one step of float32 at the larger of |x|, |x'|, + 1e-6 of the rms "
+           "displacement)",
        .tolerance = 1.5,
-       .why = "one step, not two: the truth's float32 or its neighbour: dt v is right to some 2e-7 of the largest displacements, so "
-              "that only the last rounding can differ; near x = 0, where a step is nothing, dt v itself rounds"},
+       .why =
+           "one step, not two: the truth's float32 or its neighbour: dt v is right to some 2e-7 of the "
+           "largest displacements, so "
+           "that only the last rounding can differ; near x = 0, where a step is nothing, dt v itself rounds"},
       [](const Judged& j) {
         const HostArray &got = output(j, "x_new"), &expected = truth(j, "x_new"), &start = input(j, "x");
         double square = 0;
@@ -95,7 +98,8 @@ Check position_steps() {
 /// Ten times tighter than the paper where there are few particles.
 std::vector<Check> tight() {
   const std::string why =
-      "the FP32 baseline stays below 3e-7 on all small sets; the paper's tolerance is for 17 million particles";
+      "the FP32 baseline stays below 3e-7 on all small sets; the paper's tolerance is for 17 million "
+      "particles";
   return {as_invariant(relative_l2_check("v", 0, ""), "v_tight", 1e-6, why),
           as_invariant(relative_l2_check("F_new", 0, ""), "F_new_tight", 1e-6, why)};
 }
@@ -178,46 +182,47 @@ std::vector<Check> constant_field() {
 // dx = dt = 1, so G = kRate and v = linear_field(x), and all numbers are dyadic.
 std::vector<Check> linear_field() {
   const std::string why = "dyadic numbers: every product and sum is exact in float32";
-  return {
-      equals_known({.name = "v_linear",
-                    .kind = CheckKind::invariant,
-                    .array = "v",
-                    .quantity = "velocity of the linear field",
-                    .tolerance = 0x1p-22,
-                    .why = why},
-                   [](const Judged& j) {
-                     return for_each_particle(
-                         j, [&](std::int64_t q) { return node_velocity::linear_field(place_of(j.problem, q)); });
-                   }),
-      equals_known({.name = "x_linear",
-                    .kind = CheckKind::invariant,
-                    .array = "x_new",
-                    .quantity = "x + v",
-                    .tolerance = 0x1p-22,
-                    .why = why},
-                   [](const Judged& j) {
-                     return for_each_particle(j, [&](std::int64_t q) {
-                       Vec3 x = place_of(j.problem, q);
-                       const Vec3 v = node_velocity::linear_field(x);
-                       for (std::size_t d = 0; d < 3; ++d) x[d] += v[d];
-                       return x;
-                     });
-                   }),
-      equals_known({.name = "F_linear",
-                    .kind = CheckKind::invariant,
-                    .array = "F_new",
-                    .quantity = "(I + A) F of the linear field u = A g + c",
-                    .tolerance = 0x1p-22,
-                    .why = why},
-                   [](const Judged& j) {
-                     return for_each_particle(j, [&](std::int64_t q) {
-                       const Mat3 f = dyadic_matrix(static_cast<std::uint64_t>(q));
-                       const Mat3 change = particle_blocks::product(node_velocity::kRate, f);
-                       std::array<double, 9> values;
-                       for (std::size_t e = 0; e < 9; ++e) values[e] = f[e / 3][e % 3] + change[e / 3][e % 3];
-                       return values;
-                     });
-                   })};
+  return {equals_known({.name = "v_linear",
+                        .kind = CheckKind::invariant,
+                        .array = "v",
+                        .quantity = "velocity of the linear field",
+                        .tolerance = 0x1p-22,
+                        .why = why},
+                       [](const Judged& j) {
+                         return for_each_particle(j, [&](std::int64_t q) {
+                           return node_velocity::linear_field(place_of(j.problem, q));
+                         });
+                       }),
+          equals_known({.name = "x_linear",
+                        .kind = CheckKind::invariant,
+                        .array = "x_new",
+                        .quantity = "x + v",
+                        .tolerance = 0x1p-22,
+                        .why = why},
+                       [](const Judged& j) {
+                         return for_each_particle(j, [&](std::int64_t q) {
+                           Vec3 x = place_of(j.problem, q);
+                           const Vec3 v = node_velocity::linear_field(x);
+                           for (std::size_t d = 0; d < 3; ++d) x[d] += v[d];
+                           return x;
+                         });
+                       }),
+          equals_known({.name = "F_linear",
+                        .kind = CheckKind::invariant,
+                        .array = "F_new",
+                        .quantity = "(I + A) F of the linear field u = A g + c",
+                        .tolerance = 0x1p-22,
+                        .why = why},
+                       [](const Judged& j) {
+                         return for_each_particle(j, [&](std::int64_t q) {
+                           const Mat3 f = dyadic_matrix(static_cast<std::uint64_t>(q));
+                           const Mat3 change = particle_blocks::product(node_velocity::kRate, f);
+                           std::array<double, 9> values;
+                           for (std::size_t e = 0; e < 9; ++e)
+                             values[e] = f[e / 3][e % 3] + change[e / 3][e % 3];
+                           return values;
+                         });
+                       })};
 }
 
 Check nothing_moves() {
@@ -236,7 +241,8 @@ Check nothing_moves() {
                      });
 }
 
-/// What g2p_mpm adds to the stresses of node_velocity, by their names; time steps suit spacing and velocities.
+/// What g2p_mpm adds to the stresses of node_velocity, by their names; time steps suit spacing and
+/// velocities.
 std::map<std::string, Hard> additions() {
   std::map<std::string, Hard> more;
   more["spacing_tenth"].dt = 1e-2;
@@ -248,16 +254,17 @@ std::map<std::string, Hard> additions() {
   more["largest"] = {.dt = 1e-9, .f = [](std::uint64_t q) { return random_matrix(q, 1e5); }};
   more["smallest"].dt = 1e3;
   more["no_motion"] = {.dt = 1e-10, .invariants = {nothing_moves()}};
-  // dt G of order 1 and more: F' may be inverted, and is not clamped. Every third F is 0, the others of either sign.
-  more["strong_gradient"] = {
-      .dt = 1e-2, .f = [](std::uint64_t q) { return q % 3 == 0 ? Mat3{} : random_matrix(q, 2); }};
+  // dt G of order 1 and more: F' may be inverted, and is not clamped. Every third F is 0, the others of
+  // either sign.
+  more["strong_gradient"] = {.dt = 1e-2,
+                             .f = [](std::uint64_t q) { return q % 3 == 0 ? Mat3{} : random_matrix(q, 2); }};
   return more;
 }
 
 std::vector<Stress> stresses() {
   std::vector<Stress> list = node_velocity::stresses();
-  const Stress& like = *std::find_if(list.begin(), list.end(),
-                                     [](const Stress& s) { return s.name == "one_cell"; });
+  const Stress& like =
+      *std::find_if(list.begin(), list.end(), [](const Stress& s) { return s.name == "one_cell"; });
   Stress still = like, strong = like;
   still.name = "no_motion";
   still.about = "a step so short that no position changes in float32";
@@ -304,7 +311,8 @@ InputSet ball_set(const std::string& name, SetKind kind, Size size, const Nodes&
   s.kind = kind;
   s.size = size;
   s.about = fmt::format(
-      "a ball of radius {:.4g} cells in {} x {} x {} nodes, 8 particles per cell in random order, F = I + {} U, "
+      "a ball of radius {:.4g} cells in {} x {} x {} nodes, 8 particles per cell in random order, F = I + {} "
+      "U, "
       "seed {}",
       radius, nodes[0], nodes[1], nodes[2], jitter, seed);
   s.make = [=] { return ball_problem(nodes, radius, seed, period, jitter); };
@@ -316,7 +324,8 @@ InputSet ball_set(const std::string& name, SetKind kind, Size size, const Nodes&
 
 Task make_task() {
   Task t;
-  t.title = "Grid-to-particle transfer: velocity, deformation gradient and position (MPM, quadratic B-splines)";
+  t.title =
+      "Grid-to-particle transfer: velocity, deformation gradient and position (MPM, quadratic B-splines)";
   t.paper_number = 34;
   t.contract = describe<Inputs, Outputs<float>>();
   t.unordered = {{"n", {}}};
@@ -330,9 +339,12 @@ Task make_task() {
   for (InputSet& s : hard_cases()) t.sets.push_back(std::move(s));
   const std::string table = "the paper's table of inputs and checks",
                     local = "ten times the largest error of the FP32 baseline, some 3e-7 of the rms";
-  t.checks = {relative_l2_check("v", 1e-5, table),     local_error_check("v", 1e-5, local),
-              relative_l2_check("F_new", 1e-5, table), local_error_check("F_new", 1e-5, local),
-              relative_l2_of_change("x_new", "x", 1e-3, table), position_steps()};
+  t.checks = {relative_l2_check("v", 1e-5, table),
+              local_error_check("v", 1e-5, local),
+              relative_l2_check("F_new", 1e-5, table),
+              local_error_check("F_new", 1e-5, local),
+              relative_l2_of_change("x_new", "x", 1e-3, table),
+              position_steps()};
   t.target_floor_multiple = 2.3;
   return t;
 }

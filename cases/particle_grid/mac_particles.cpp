@@ -6,8 +6,8 @@
 #include <cmath>
 
 #include "cases/particle_grid/particle_blocks.hpp"
-#include "core/generators/fourier_velocity.hpp"
 #include "core/base/parallel.hpp"
+#include "core/generators/fourier_velocity.hpp"
 #include "core/generators/random.hpp"
 
 namespace gpuphys::mac_particles {

@@ -3,8 +3,8 @@
 #include <cmath>
 #include <numbers>
 
-#include "core/generators/fourier_velocity.hpp"
 #include "core/base/parallel.hpp"
+#include "core/generators/fourier_velocity.hpp"
 #include "core/generators/random.hpp"
 
 namespace gpuphys::node_velocity {
@@ -48,7 +48,8 @@ std::vector<Stress> all_stresses() {
                        auto at, auto u) {
     list.push_back({.name = name, .about = about, .nodes = nodes, .dx = dx, .n = n, .at = at, .u = u});
   };
-  add("walls",
+  add(
+      "walls",
       "particles up to four cells outside of every side, edge and corner, and some at 1e30 m: node indices "
       "are clamped",
       {17, 9, 13}, kDx, 20011,
@@ -62,41 +63,49 @@ std::vector<Stress> all_stresses() {
       anywhere(41, {202, 5, 7}, 1), noise(41));
   add("spacing_320th", "dx = 1/320", {6, 193, 33}, 1.0 / 320, 2049, anywhere(42, {6, 193, 33}, 1), noise(42));
   add("spacing_three", "dx = 3 m", {4, 3, 151}, 3, 1025, anywhere(43, {4, 3, 151}, 1), noise(43));
-  add("thin", "one, two and three nodes along the axes: several of a particle's nodes are the same", {1, 2, 3},
-      kDx, 33, anywhere(44, {1, 2, 3}, 2), noise(44));
+  add("thin", "one, two and three nodes along the axes: several of a particle's nodes are the same",
+      {1, 2, 3}, kDx, 33, anywhere(44, {1, 2, 3}, 2), noise(44));
   add("long_x", "70,000 nodes along x", {70000, 2, 3}, kDx, 1031, anywhere(45, {70000, 2, 3}, 2), noise(45));
   add("long_y", "70,000 nodes along y", {3, 70000, 2}, kDx, 1023, anywhere(46, {3, 70000, 2}, 2), noise(46));
   add("long_z", "70,000 nodes along z", {2, 3, 70000}, kDx, 31, anywhere(47, {2, 3, 70000}, 2), noise(47));
-  add("planes", "particles exactly on nodes and half-way between them: two nodes' weights, or three", {9, 10, 11},
-      kDx, 4099,
+  add(
+      "planes", "particles exactly on nodes and half-way between them: two nodes' weights, or three",
+      {9, 10, 11}, kDx, 4099,
       [](std::uint64_t q) {
         Vec3 g = anywhere(48, {9, 10, 11}, 2)(q);
         for (double& c : g) c = std::floor(2 * c) / 2;
         return g;
       },
       noise(48));
-  add("one_cell", "70,001 particles in one cell of a large grid, one elsewhere", {33, 34, 45}, kDx, 70002,
+  add(
+      "one_cell", "70,001 particles in one cell of a large grid, one elsewhere", {33, 34, 45}, kDx, 70002,
       [](std::uint64_t q) {
-        return q == 70000 ? Vec3{2.25, 30.5, 41.75} : random_point(49, q, {13.5, 14.5, 15.5}, {14.5, 15.5, 16.5});
+        return q == 70000 ? Vec3{2.25, 30.5, 41.75}
+                          : random_point(49, q, {13.5, 14.5, 15.5}, {14.5, 15.5, 16.5});
       },
       noise(49));
   add("constant", "the same velocity on every node", {12, 9, 14}, kDx, 1025, anywhere(50, {12, 9, 14}, 3),
       [](std::int64_t, std::int64_t, std::int64_t) { return kConstant; });
-  add("offset", "small differences on top of 1000 m/s: the gradient is that of the differences", {12, 14, 9}, kDx,
-      1025, anywhere(51, {12, 14, 9}, 1), noise(51, 1000, 0.125));
-  add("contrast", "node values over twelve decades, zeros and negative zeros among them", {14, 9, 12}, kDx, 2047,
-      anywhere(52, {14, 9, 12}, 1), [](std::int64_t i, std::int64_t j, std::int64_t k) {
+  add("offset", "small differences on top of 1000 m/s: the gradient is that of the differences", {12, 14, 9},
+      kDx, 1025, anywhere(51, {12, 14, 9}, 1), noise(51, 1000, 0.125));
+  add("contrast", "node values over twelve decades, zeros and negative zeros among them", {14, 9, 12}, kDx,
+      2047, anywhere(52, {14, 9, 12}, 1), [](std::int64_t i, std::int64_t j, std::int64_t k) {
         Vec3 u = noise(52)(i, j, k);
         const std::int64_t kind = (7 * i + 3 * j + k) % 5;
         for (double& c : u) c = kind == 0 ? 0.0 : kind == 1 ? -0.0 : c * std::pow(10.0, 6 * c);
         return u;
       });
-  add("linear", "a linear field on dyadic numbers: answers by hand", {12, 10, 15}, 1, 1021,
-      [](std::uint64_t q) { return quarter_point(53, q, {12, 10, 15}); },
+  add(
+      "linear", "a linear field on dyadic numbers: answers by hand", {12, 10, 15}, 1, 1021,
+      [](std::uint64_t q) {
+        return quarter_point(53, q, {12, 10, 15});
+      },
       [](std::int64_t i, std::int64_t j, std::int64_t k) {
         return linear_field({static_cast<double>(i), static_cast<double>(j), static_cast<double>(k)});
       });
-  add("single_nodes", "one node in 64 is not zero, particles on nodes and around those that are not", {16, 16, 16}, kDx, 5003,
+  add(
+      "single_nodes", "one node in 64 is not zero, particles on nodes and around those that are not",
+      {16, 16, 16}, kDx, 5003,
       [](std::uint64_t q) {
         Vec3 g = anywhere(54, {16, 16, 16}, 1)(q);
         for (double& c : g) {
@@ -111,8 +120,8 @@ std::vector<Stress> all_stresses() {
       });
   add("largest", "node values of 1e20 m/s, dx = 2^30 m", {9, 11, 7}, 0x1p30, 513, anywhere(55, {9, 11, 7}, 1),
       noise(55, 0, 0.99e20));
-  add("smallest", "node values of 1e-15 m/s, dx = 2^-30 m", {7, 9, 11}, 0x1p-30, 1, anywhere(56, {7, 9, 11}, 0),
-      noise(56, 0, 1e-15));
+  add("smallest", "node values of 1e-15 m/s, dx = 2^-30 m", {7, 9, 11}, 0x1p-30, 1,
+      anywhere(56, {7, 9, 11}, 0), noise(56, 0, 1e-15));
   return list;
 }
 

@@ -8,9 +8,9 @@
 namespace gpuphys::p2g_apic {
 
 struct Inputs {
-  View<const float, 2> x;               ///< particle positions, m
-  View<const float, 2> v;               ///< particle velocities, m/s
-  View<const float, 3> B;               ///< affine state, B[p][c][b] = dx^2/4 du_c/dx_b of the particle's field
+  View<const float, 2> x;  ///< particle positions, m
+  View<const float, 2> v;  ///< particle velocities, m/s
+  View<const float, 3> B;  ///< affine state, B[p][c][b] = dx^2/4 du_c/dx_b of the particle's field
   std::int32_t nx = 0, ny = 0, nz = 0;  ///< cells of the box along each axis
   float dx = 0;                         ///< size of a cell, m
 

@@ -9,6 +9,7 @@
 #include "cases/particle_grid/particle_blocks.hpp"
 #include "core/contract/task.hpp"
 #include "core/generators/random.hpp"
+#include "core/judge/checks.hpp"
 #include "core/judge/comparators.hpp"
 
 namespace gpuphys::p2g_mpm {
@@ -263,6 +264,66 @@ Vec3 lattice_point(std::uint64_t seed, std::uint64_t item, const Cells& low, con
   return x;
 }
 
+// Another material, step and spacing (a power of two); places are kept in cells.
+struct Material {
+  double dx, dt, density, volume_per_cell, young, poisson;
+};
+Problem made_of(Problem p, const Material& m) {
+  const double volume = m.volume_per_cell * m.dx * m.dx * m.dx;
+  for (float& x : p.inputs[0].as<float>()) x *= static_cast<float>(m.dx / kDx);
+  p.set_scalar("dx", m.dx);
+  p.set_scalar("dt", m.dt);
+  p.set_scalar("V0", volume);
+  p.set_scalar("mass_p", m.density * volume);
+  p.set_scalar("mu", m.young / (2 * (1 + m.poisson)));
+  p.set_scalar("lambda", m.young * m.poisson / ((1 + m.poisson) * (1 - 2 * m.poisson)));
+  return p;
+}
+
+std::vector<Check> tight() {
+  std::vector<Check> checks;
+  for (const std::string& name : kNames)
+    checks.push_back(as_invariant(relative_l2_check(name, 0, ""), name + "_rel_l2_tight", 3e-6,
+                                  "a few thousand particles: the FP32 baseline stays below 5e-7"));
+  return checks;
+}
+
+InputSet material_set(const std::string& stress, const std::string& about, std::uint64_t seed, double jitter,
+                      const Material& material) {
+  return hard(
+      stress, about,
+      [=] {
+        return made_of(problem_from({15, 13, 18}, 4001,
+                                    [=](std::uint64_t q) {
+                                      return Particle{lattice_point(seed, q, {2, 2, 2}, {12, 10, 15}),
+                                                      random_vector(seed, 4, q),
+                                                      jittered_identity(seed, q, jitter)};
+                                    }),
+                       material);
+      },
+      tight());
+}
+
+// Particles near both ends of an axis with more nodes than 16 bits count.
+InputSet long_axis_set(std::size_t axis) {
+  Cells nodes{3, 4, 5};
+  nodes[axis] = 70001;
+  return hard(
+      fmt::format("long_{}", "xyz"[axis]), "more nodes along an axis than 16 bits count",
+      [=] {
+        return problem_from(nodes, 601, [=](std::uint64_t q) {
+          Vec3 x = lattice_point(50 + axis, q, {0, 0, 0}, {2, 3, 4});
+          const double ends[] = {0.0, 65533.0, 69996.0};
+          x[axis] = ends[q % 3] + 0.25 + 0.5 * std::floor(8 * uniform01(50 + axis, 5, q));
+          return Particle{x, random_vector(50 + axis, 4, q), jittered_identity(50 + axis, q, 0.05)};
+        });
+      },
+      {empty_nodes_are_zero(),
+       error_over_largest(5e-5,
+                          "a hundred units for the stress of a node that owns a corner of one particle")},
+      false);
+}
+
 std::vector<InputSet> hard_cases() {
   constexpr Vec3 drift{1.5, -0.75, 0.5};
   std::vector<InputSet> sets;
@@ -354,6 +415,47 @@ std::vector<InputSet> hard_cases() {
                         });
                       },
                       {empty_nodes_are_zero()}));
+  sets.push_back(material_set("soft_and_heavy",
+                              "dx = 1/8 m, dt = 1 ms, 2600 kg/m^3, 300 kPa, Poisson's ratio 0.4", 41, 0.05,
+                              {0.125, 1e-3, 2600, 0.2, 3e5, 0.4}));
+  sets.push_back(material_set("stiff_and_light",
+                              "dx = 2 m, dt = 0.2 ms, 1.25 kg/m^3, 20 MPa, Poisson's ratio 0.05", 42, 0.07,
+                              {2, 2e-4, 1.25, 0.11, 2e7, 0.05}));
+  sets.push_back(
+      material_set("small_strain", "F = I + 0.003 U, 100 kPa", 43, 3e-3, {kDx, 3e-5, 431, 0.15, 1e5, 0.31}));
+  sets.push_back(hard("lone_particles",
+                      "particles out of each other's reach, 2^-8 to 2^-12 cells off a break of the spline",
+                      [] {
+                        return problem_from({41, 33, 25}, 8 * 6 * 4, [](std::uint64_t q) {
+                          const double site[3] = {static_cast<double>(q % 8), static_cast<double>(q / 8 % 6),
+                                                  static_cast<double>(q / 48)};
+                          Vec3 x;
+                          for (std::size_t d = 0; d < 3; ++d) {
+                            const double off = std::ldexp(1.0, -8 - static_cast<int>((q + d) % 5));
+                            x[d] = 2.5 + 5 * site[d] + (q >> d & 1 ? off : -off);
+                          }
+                          return Particle{x, random_vector(44, 4, q), jittered_identity(44, q, 0.02)};
+                        });
+                      },
+                      {empty_nodes_are_zero()}));
+  sets.push_back(hard("stretched_1e4", "F = 1e4 Q, Q a random rotation: the largest that is valid",
+                      [] {
+                        return problem_from({12, 11, 15}, 3001, [](std::uint64_t q) {
+                          return Particle{lattice_point(45, q, {2, 2, 2}, {9, 8, 12}),
+                                          random_vector(45, 4, q), stretched(45, q, 9e3, 9e3, 9e3)};
+                        });
+                      },
+                      {empty_nodes_are_zero()}));
+  sets.push_back(hard(
+      "at_rest", "no strain, velocities of 0 and -0",
+      [] {
+        return problem_from({9, 8, 7}, 1003, [](std::uint64_t q) {
+          return Particle{lattice_point(46, q, {1, 1, 1}, {7, 6, 5}), {0.0, -0.0, 0.0}, diagonal(1, 1, 1)};
+        });
+      },
+      {all_zero()}));
+  for (const std::size_t axis : {std::size_t{0}, std::size_t{1}, std::size_t{2}})
+    sets.push_back(long_axis_set(axis));
   sets.push_back(hard("all_outside",
                       "every particle beyond the reach of the array, some by 1e4 and by 1e30 m",
                       [] {

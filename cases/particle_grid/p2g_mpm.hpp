@@ -20,18 +20,18 @@ struct Inputs {
 
   template <class V>
   void visit(V&& visitor) {
-    visitor.array("x", x, "n,3", "m");
-    visitor.array("v", v, "n,3", "m/s");
-    visitor.array("F", F, "n,3,3", "1");
-    visitor.scalar("nx", nx, "1");
-    visitor.scalar("ny", ny, "1");
-    visitor.scalar("nz", nz, "1");
-    visitor.scalar("dx", dx, "m");
-    visitor.scalar("dt", dt, "s");
-    visitor.scalar("mass_p", mass_p, "kg");
-    visitor.scalar("V0", V0, "m^3");
-    visitor.scalar("mu", mu, "Pa");
-    visitor.scalar("lambda", lambda, "Pa");
+    visitor.array("x", x, "n,3", "m", finite());
+    visitor.array("v", v, "n,3", "m/s", between(-1e15, 1e15));
+    visitor.array("F", F, "n,3,3", "1", between(-1e4, 1e4));
+    visitor.scalar("nx", nx, "1", at_least(1));
+    visitor.scalar("ny", ny, "1", at_least(1));
+    visitor.scalar("nz", nz, "1", at_least(1));
+    visitor.scalar("dx", dx, "m", positive(1e10));
+    visitor.scalar("dt", dt, "s", positive(1e10));
+    visitor.scalar("mass_p", mass_p, "kg", positive(1e15));
+    visitor.scalar("V0", V0, "m^3", positive(1e15));
+    visitor.scalar("mu", mu, "Pa", positive(1e15));
+    visitor.scalar("lambda", lambda, "Pa", positive(1e15));
   }
 };
 

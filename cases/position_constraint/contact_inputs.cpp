@@ -7,9 +7,9 @@
 #include <numbers>
 
 #include "cases/position_constraint/cloth_inputs.hpp"
-#include "core/judge/comparators.hpp"
 #include "core/base/error.hpp"
 #include "core/generators/random.hpp"
+#include "core/judge/comparators.hpp"
 
 namespace gpuphys::position_constraint {
 namespace {

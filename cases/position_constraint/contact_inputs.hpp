@@ -6,8 +6,8 @@
 #include <string>
 #include <vector>
 
-#include "core/judge/checks.hpp"
 #include "core/contract/task.hpp"
+#include "core/judge/checks.hpp"
 
 namespace gpuphys::position_constraint {
 

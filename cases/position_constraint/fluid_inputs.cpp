@@ -5,8 +5,8 @@
 #include <numbers>
 #include <utility>
 
-#include "core/generators/abc_flow.hpp"
 #include "core/base/parallel.hpp"
+#include "core/generators/abc_flow.hpp"
 #include "core/generators/random.hpp"
 
 namespace gpuphys::fluid {

@@ -38,7 +38,8 @@ Particles block(const Block&);
 /// n particles uniform in a cube of half width `half`, with velocities uniform in [-speed, speed).
 Particles cloud(std::uint64_t seed, std::int64_t n, const Vec3& centre, double half, double speed);
 
-/// n particles along `axis` about the origin, 0.9 m apart to within a tenth, in an order that is not that of the line.
+/// n particles along `axis` about the origin, 0.9 m apart to within a tenth, in an order that is not that of
+/// the line.
 Particles line(std::uint64_t seed, std::int64_t n, std::size_t axis, double speed);
 
 /// Every particle multiplied by `scale`, then moved by `offset`; velocities stay.

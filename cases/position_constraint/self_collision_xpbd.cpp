@@ -242,7 +242,8 @@ std::vector<InputSet> hard_sets() {
                 },
                 {pc::pinned_check(), tight(3e-4), tight_l2()}));
   add(hard_case(
-      "light_between_heavy", "stacks of three whose middle one is a thousand times lighter",
+      "light_between_heavy",
+      "stacks of three whose middle one is a thousand times lighter; two in one point that a third one parts",
       [] {
         Positions x;
         std::vector<double> w;
@@ -250,6 +251,13 @@ std::vector<InputSet> hard_sets() {
           for (int l = 0; l < 3; ++l) {
             x.push_back({3.0 * k, 0.01 * uniform11(25, 0, static_cast<std::uint64_t>(3 * k + l)), 0.6 * l});
             w.push_back(l == 1 ? 1000 : 1);
+          }
+        }
+        // And two in one point, of different masses, that a third one pushes apart: no contact of each other.
+        for (int k = 0; k < 20; ++k) {
+          for (int l = 0; l < 3; ++l) {
+            x.push_back({3.0 * k, 8, l < 2 ? 0.0 : 0.4});
+            w.push_back(l == 0 ? 1 : l == 1 ? 3 : 0.5);
           }
         }
         return problem_of(x, {1, 1.1, 0, 0.1, 0.25, 8}, w);

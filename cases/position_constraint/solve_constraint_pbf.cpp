@@ -100,7 +100,8 @@ std::vector<InputSet> hard_sets(const Contract& contract) {
   hard("soft", "eps 5", small_block, {.eps = 5});
   hard("stiff", "eps 0.05: iterations overshoot", small_block, {.eps = 0.05, .iters = 3});
   hard("no_pressure", "k_corr 0", small_block, {.k_corr = 0});
-  hard("pressure_at_0", "dq 0 and a pressure that dominates", small_block, {.k_corr = 3, .dq = 0});
+  hard("pressure_at_0", "dq 0 and a pressure that dominates", small_block, {.k_corr = 3, .dq = 0},
+       fluid::tight("x_new", "x", 1e-4, 2e-3));
   hard("pressure_at_half", "dq 0.5", small_block, {.dq = 0.5});
   hard("h_1_5", "h of 1.5 m", small_block, {.h = 1.5, .rho0 = 1.1});
   hard("h_2_7", "h of 2.7 m: 80 neighbours", small_block, {.h = 2.7, .rho0 = 1.0, .iters = 7});

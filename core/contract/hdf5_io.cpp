@@ -69,7 +69,8 @@ class Id {
 
 /// Every failure is reported as an Error; HDF5's own stack trace on stderr would only bury it.
 void silence() {
-  // What could not be written (a full disk) would be tried again by the library's exit handler, and crash there.
+  // What could not be written (a full disk) would be tried again by the library's exit handler, and crash
+  // there.
   static const bool done = H5dont_atexit() >= 0 && H5Eset_auto2(H5E_DEFAULT, nullptr, nullptr) >= 0;
   if (!done) throw Error(ExitCode::internal, "cannot switch off HDF5's error printing");
 }
@@ -294,7 +295,8 @@ class Writer {
     }
     const Id type = stored_type(a.dtype());
     require_room(a.bytes());
-    Id dataset(H5Dcreate2(file_, a.name().c_str(), type, space, H5P_DEFAULT, properties, H5P_DEFAULT), H5Dclose);
+    Id dataset(H5Dcreate2(file_, a.name().c_str(), type, space, H5P_DEFAULT, properties, H5P_DEFAULT),
+               H5Dclose);
     ok = ok && dataset.valid() &&
          H5Dwrite(dataset, memory_type(a.dtype()), H5S_ALL, H5S_ALL, H5P_DEFAULT, a.data()) >= 0;
     if (!ok) bad(where(), fmt::format("array '{}' cannot be written (disk full?)", a.name()));
@@ -545,9 +547,9 @@ struct Parsed {
 
 // ---- reading in a child ----
 
-// HDF5 1.10 does not survive every damaged file (its older structures carry no checksums), and what one process
-// survives may kill the next. So a file is read by a child only, which hands over what it read through shared memory: a
-// JSON head of kHeadBytes, then the arrays, each from a page of its own on.
+// HDF5 1.10 does not survive every damaged file (its older structures carry no checksums), and what one
+// process survives may kill the next. So a file is read by a child only, which hands over what it read
+// through shared memory: a JSON head of kHeadBytes, then the arrays, each from a page of its own on.
 constexpr std::size_t kHeadBytes = 64 << 10, kPage = 4096;
 
 using nlohmann::json;
@@ -590,18 +592,23 @@ Parsed taken_over(int fd, const std::string& where) {
   const off_t size = ::lseek(fd, 0, SEEK_END);
   if (size < 2) bad(where, "truncated or corrupt HDF5 file");
   std::string text(std::min<std::size_t>(static_cast<std::size_t>(size), kHeadBytes), '\0');
-  if (::pread(fd, text.data(), text.size(), 0) != static_cast<ssize_t>(text.size())) bad(where, "cannot be read");
+  if (::pread(fd, text.data(), text.size(), 0) != static_cast<ssize_t>(text.size()))
+    bad(where, "cannot be read");
   const json head = json::parse(text.c_str());
-  if (head.contains("error")) throw Error(static_cast<ExitCode>(head.at("code").get<int>()), head.at("error").get<std::string>());
+  if (head.contains("error"))
+    throw Error(static_cast<ExitCode>(head.at("code").get<int>()), head.at("error").get<std::string>());
   Parsed parsed;
   const json& i = head.at("info");
-  parsed.info = {i[0].get<int>(),         i[1].get<std::string>(), i[2].get<std::string>(), i[3].get<std::string>(),
-                 i[4].get<std::string>(), i[5].get<std::string>(), i[6].get<std::string>()};
+  parsed.info = {i[0].get<int>(),         i[1].get<std::string>(), i[2].get<std::string>(),
+                 i[3].get<std::string>(), i[4].get<std::string>(), i[5].get<std::string>(),
+                 i[6].get<std::string>()};
   for (const json& a : head.at("arrays")) {
-    HostArray array(a[0].get<std::string>(), static_cast<DType>(a[1].get<int>()), a[2].get<Shape>(), a[3].get<std::string>());
+    HostArray array(a[0].get<std::string>(), static_cast<DType>(a[1].get<int>()), a[2].get<Shape>(),
+                    a[3].get<std::string>());
     auto* to = static_cast<char*>(array.data());
     for (std::size_t done = 0; done < array.bytes();) {
-      const ssize_t n = ::pread(fd, to + done, array.bytes() - done, static_cast<off_t>(a[4].get<std::size_t>() + done));
+      const ssize_t n =
+          ::pread(fd, to + done, array.bytes() - done, static_cast<off_t>(a[4].get<std::size_t>() + done));
       if (n <= 0) bad(where, "cannot be read");
       done += static_cast<std::size_t>(n);
     }
@@ -623,7 +630,8 @@ Parsed in_child(const std::string& path, F&& read) {
   const pid_t child = memory < 0 ? -1 : ::fork();
   if (child < 0) throw Error(ExitCode::internal, "cannot start a process to read a file in");
   if (child == 0) {
-    for (const int signal : {SIGSEGV, SIGBUS, SIGABRT, SIGFPE, SIGILL, SIGXCPU, SIGALRM}) ::signal(signal, SIG_DFL);
+    for (const int signal : {SIGSEGV, SIGBUS, SIGABRT, SIGFPE, SIGILL, SIGXCPU, SIGALRM})
+      ::signal(signal, SIG_DFL);
     rlimit limit{};
     ::setrlimit(RLIMIT_CORE, &limit);
     // Damage can also make it loop or wait for ever: no file takes longer than this to read.
@@ -637,7 +645,8 @@ Parsed in_child(const std::string& path, F&& read) {
       } catch (const Error& e) {
         hand_over(memory, json{{"error", e.what()}, {"code", static_cast<int>(e.code())}});
       } catch (const std::bad_alloc&) {
-        hand_over(memory, json{{"error", where + ": out of host memory"}, {"code", static_cast<int>(ExitCode::out_of_memory)}});
+        hand_over(memory, json{{"error", where + ": out of host memory"},
+                               {"code", static_cast<int>(ExitCode::out_of_memory)}});
       }
     } catch (...) {
       ::_exit(1);
@@ -664,7 +673,8 @@ Parsed problem_in(const std::string& path, const Task& task) {
   require_info(parsed.info, task, {FileKind::inputs}, where);
   for (const ArraySpec& spec : task.contract.inputs)
     parsed.arrays.push_back(read_array(file, spec, spec.dtype, nullptr, where));
-  for (const ScalarSpec& spec : task.contract.scalars) parsed.scalars.push_back(read_scalar(file, spec, where));
+  for (const ScalarSpec& spec : task.contract.scalars)
+    parsed.scalars.push_back(read_scalar(file, spec, where));
   return parsed;
 }
 

@@ -21,7 +21,6 @@ inline constexpr int kHdf5Schema = 1;
 enum class FileKind { inputs, outputs, truth };
 std::string to_string(FileKind);
 
-
 /// What a file says about itself.
 struct FileInfo {
   int schema = 0;
@@ -42,9 +41,9 @@ void write_arrays(const std::string& path, FileKind, const Task&, const std::str
 FileInfo read_info(const std::string& path);
 
 /// Reads a problem and checks it against the contract: every array and scalar present, of its type and rank,
-/// shapes that agree with each other, values that are valid. The file is parsed by a child process, because HDF5 1.10 can
-/// crash on a damaged one. Throws Error(bad_input), one line naming the file, the array, what it
-/// has and what was expected.
+/// shapes that agree with each other, values that are valid. The file is parsed by a child process, because
+/// HDF5 1.10 can crash on a damaged one. Throws Error(bad_input), one line naming the file, the array, what
+/// it has and what was expected.
 Problem read_problem(const std::string& path, const Task&);
 
 /// Reads the contract's outputs with the shapes that `problem` implies. `real` is the type that

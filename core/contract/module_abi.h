@@ -1,6 +1,7 @@
 /* The binary interface between the harness and anything that computes a task: a reference, one of its
  * variants or mutants, a serial baseline, or a user's own kernel. Plain C, so that any language that can
- * export one C symbol can be judged. C++ and CUDA authors use the adapter in core/contract/module.hpp instead.
+ * export one C symbol can be judged. C++ and CUDA authors use the adapter in core/contract/module.hpp
+ * instead.
  *
  * A module is a shared object that exports
  *

@@ -29,8 +29,7 @@ void keep_history(const Context& ctx, const std::string& slug, TaskRecord& recor
   std::vector<HistoryEntry> fresh;
   for (TimingResult& t : record.timing) {
     if (!t.scalar_overrides.empty()) continue;
-    const bool slow = t.gate.state == "SLOW";
-    if (slow && !accept_slower.empty()) t.gate.state = "ACCEPTED";
+    const bool slow = t.gate.state == "ACCEPTED";
     const bool there = std::any_of(known.begin(), known.end(), [&](const HistoryEntry& e) {
       return e.label == t.label && e.set == t.set && e.sources == t.module.sources.substr(0, 12) &&
              fmt::format("{:.5g}", e.median_ms) == fmt::format("{:.5g}", t.median_ms);
@@ -125,7 +124,7 @@ void record(Context& ctx, const RecordOptions& o) {
 struct CheckOptions {
   std::vector<std::string> tasks;
   std::string gpu;
-  bool harness = false;
+  bool harness = false, skip_missing = false;
 };
 
 std::size_t check_harness(const Context& ctx, const std::vector<std::string>& gpus) {
@@ -177,6 +176,8 @@ void check_records(Context& ctx, const CheckOptions& o) {
         }
       }
       if (!found) fmt::print("MISSING {}: no GPU record\n", task->name);
+      if (!found && o.skip_missing)
+        throw Error(ExitCode::skipped, fmt::format("{}: no GPU has a record of it yet", task->name));
       // One good record is enough: which GPU is at hand is chance.
       if (!good) ++stale;
     }

@@ -206,7 +206,7 @@ class Session {
       if (last) say(*runner_);
       judge_call(task_, *job.set, prepared_.problem, prepared_.truth_or_null(), report,
                  earlier_.empty() ? nullptr : &earlier_, r);
-      if (id_.role == "mutant") conclude_mutant(r);
+      if (id_.role == "mutant" || o_.expect == "killed") conclude_mutant(r);
       earlier_ = std::move(report.outputs);
     } catch (const RunnerLost& lost) {
       r.state = lost.timed_out() ? RunState::timeout : RunState::crashed;
@@ -288,6 +288,8 @@ class Session {
 void run(Context& ctx, RunOptions& o) {
   const Task& task = find_task(o.task);
   const ModuleIdentity id = identify_module(o.module, o.label, task.name, ctx.mutants_root());
+  if (!(std::isfinite(o.timeout_s) && o.timeout_s > 0))
+    throw Error(ExitCode::usage, fmt::format("--timeout {}: not a positive number of seconds", o.timeout_s));
   if (!o.inputs.empty() && id.role != "user")
     throw Error(ExitCode::usage,
                 "--inputs goes with a module of one's own: the suite's are judged on its sets");

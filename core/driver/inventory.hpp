@@ -33,8 +33,9 @@ void annotate(ResultSet&, const std::string& mutants_root);
 /// a source is missing.
 std::map<std::string, ModuleStamp> expected_stamps(const Context&, const Task&);
 
-/// The evidence of a set (core/records/record.hpp), from what is generated and computed here and now.
-SetEvidence evidence_of(const Context&, const Task&, const InputSet&);
+/// The evidence of a set (core/records/record.hpp), from what is generated and computed here and now
+/// (`with_truth` false: without truth, and so without what the checks find).
+SetEvidence evidence_of(const Context&, const Task&, const InputSet&, bool with_truth = true);
 
 /// Digest of the sources that make a task's inputs and checks, and of those that make its truth.
 std::string case_sources(const Context&, const Task&);

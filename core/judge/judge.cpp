@@ -202,7 +202,7 @@ void conclude_mutant(RunResult& r) {
   if (r.state == RunState::pass) r.state = RunState::survived;
   if (r.state != RunState::fail) return;
   // `check:` of a patch names one check or several, separated by commas.
-  const CheckResult* killer = nullptr;
+  const CheckResult* killer = r.expected_check.empty() ? r.worst_check() : nullptr;
   std::istringstream names(r.expected_check);
   for (std::string name; std::getline(names, name, ',');) {
     name.erase(0, name.find_first_not_of(' '));

@@ -151,6 +151,17 @@ HostArray shared_array(const std::string& name, DType dtype, const Shape& shape,
   return HostArray(name, dtype, shape, unit, memory, length - (bytes + 63) / 64 * 64);
 }
 
+// What lies in the array's first and last page besides it holds this; the judge looks whether it still does.
+constexpr std::byte kAround{0xC3};
+
+template <class Body>
+void for_each_byte_around(HostArray& a, Body&& body) {
+  std::byte* const begin = a.shared()->data();
+  const std::size_t at = a.shared_offset(), end = a.shared()->bytes();
+  for (std::size_t i = at / kPage * kPage; i < at; ++i) body(begin[i], false);
+  for (std::size_t i = at + a.bytes(); i < end; ++i) body(begin[i], true);
+}
+
 // The array itself if it lies in memory that nobody can write, else a sealed copy.
 HostArray sealed(const HostArray& a) {
   HostArray copy = shared_array(a.name(), a.dtype(), a.shape(), a.unit());
@@ -445,7 +456,8 @@ CallReport Runner::call(const Contract& contract, const Problem& problem, const 
   Request request{};
   request.magic = kMagic;
   request.ask = Ask::call;
-  request.flags = (how.timed ? kTimed : 0u) | (options_.under_tool ? kUnderTool : 0u);
+  request.flags =
+      (how.timed ? kTimed : 0u) | (options_.under_tool ? kUnderTool : 0u) | (how.discard ? kDiscard : 0u);
   std::vector<int> descriptors;
   std::vector<HostArray> keep;  // inputs that had to be copied, until the answer is there
   keep.reserve(problem.inputs.size());
@@ -465,7 +477,8 @@ CallReport Runner::call(const Contract& contract, const Problem& problem, const 
     const bool floating = spec.dtype == DType::f32 || spec.dtype == DType::f64;
     result.outputs.push_back(shared_array(spec.name, floating ? output_real_ : spec.dtype,
                                           evaluate_shape(spec, symbols), spec.unit));
-    const HostArray& a = result.outputs.back();
+    HostArray& a = result.outputs.back();
+    for_each_byte_around(a, [](std::byte& b, bool) { b = kAround; });
     descriptors.push_back(a.shared()->descriptor());
     request.outputs[request.n_outputs++] = array_at(a, a.shared_offset(), descriptors.size() - 1);
   }
@@ -513,9 +526,22 @@ CallReport Runner::call(const Contract& contract, const Problem& problem, const 
     result.wall_ms = std::chrono::duration<double, std::milli>(*stopped - *started).count();
   result.faults = std::move(stray_faults_);
   stray_faults_.clear();
-  if (how.last) {
-    end();
-  } else if (delivered) {
+  if (how.last) end();
+  if (how.discard) {
+    result.outputs.clear();
+    return result;
+  }
+  for (HostArray& a : result.outputs) {
+    int before = 0, past = 0;
+    for_each_byte_around(a, [&](const std::byte& b, bool behind) {
+      if (b != kAround) ++(behind ? past : before);
+    });
+    if (before + past == 0) continue;
+    result.faults.push_back({Fault::out_of_bounds_write,
+                             fmt::format("output '{}': wrote {} bytes before its start and {} past its end",
+                                         a.name(), before, past)});
+  }
+  if (!how.last && delivered) {
     // The runner goes on, and may write to what it delivered: the judge looks at a copy.
     for (HostArray& a : result.outputs) a = a.clone();
   }

@@ -73,8 +73,9 @@ class Runner {
   DType output_real() const { return output_real_; }
 
   struct Call {
-    bool timed = false;  ///< clocks up and caches empty first (device)
-    bool last = true;    ///< the runner is ended before this returns; otherwise the outputs are copied
+    bool timed = false;    ///< clocks up and caches empty first (device)
+    bool last = true;      ///< the runner is ended before this returns; otherwise the outputs are copied
+    bool discard = false;  ///< a warm-up whose outputs nobody looks at: none are returned
   };
   /// One call on a fresh solver object. Output poison and values that are not finite are found here, by the
   /// judge. Throws RunnerLost, or Error for a runner that cannot go on (out of memory, a lost CUDA context).

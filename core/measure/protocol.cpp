@@ -10,18 +10,19 @@
 namespace gpuphys {
 namespace {
 
-// Two messages between processes and the wait for an idle device take some 0.1 ms on a quiet machine.
+// Two messages between processes and the wait for an idle device take some 0.1 ms on a quiet machine. Where
+// the judge wakes late to the first of them, it sees that much less.
 constexpr double kMessagesMs = 0.5;
 constexpr double kWallFraction = 0.1;
-constexpr double kClockNoiseMs = 0.02;
 
-void require_no_fault(const CallReport& report, const std::string& what, bool judged) {
+void require_no_fault(const CallReport& report, const std::string& what, bool judged,
+                      bool discarded = false) {
   // NaN and infinity are wrong values, which the judge reports in its own words.
   for (const FaultReport& f : report.faults) {
     if (f.fault == Fault::non_finite_output && judged) continue;
     throw Error(ExitCode::module_fault, fmt::format("{}: {}: {}", what, to_string(f.fault), f.detail));
   }
-  if (report.outputs.empty())
+  if (report.outputs.empty() && !discarded)
     throw Error(ExitCode::module_fault, fmt::format("{}: nothing was delivered", what));
 }
 
@@ -32,7 +33,7 @@ std::string disagreement(const std::vector<double>& reported, const std::vector<
   for (std::size_t i = 0; i < reported.size(); ++i) {
     if (!(std::isfinite(reported[i]) && reported[i] > 0 && std::isfinite(wall[i])))
       return fmt::format("call {} took {} ms, by the judge's clock {} ms", i + 1, reported[i], wall[i]);
-    if (reported[i] > wall[i] * 1.02 + kClockNoiseMs) {
+    if (reported[i] > wall[i] * (1 + kWallFraction) + kMessagesMs) {
       return fmt::format("call {} is said to have taken {:.3f} ms; the judge saw only {:.3f} ms pass", i + 1,
                          reported[i], wall[i]);
     }
@@ -67,8 +68,10 @@ TimedCalls time_module(const StartRunner& start, const Contract& contract, const
     for (int w = 0; w < before; ++w) {
       const std::string what = fmt::format("call {} on the other inputs before timed call {}", w + 1, i + 1);
       if (progress) progress(what);
-      CallReport report = runner->call(contract, *other.problem, {.timed = true, .last = false});
-      require_no_fault(report, what, false);
+      const bool discard = w + 1 < before;  // the last one's outputs tell a stale answer
+      CallReport report =
+          runner->call(contract, *other.problem, {.timed = true, .last = false, .discard = discard});
+      require_no_fault(report, what, false, discard);
       earlier = std::move(report.outputs);
       await_verdict();
     }

@@ -116,8 +116,9 @@ GateAnswer judge_gate(const GateQuestion& q) {
                        q.baseline->multiple + kSlowMilliseconds / q.floor_ms);
     a.state = a.multiple > a.limit ? GateState::slow : GateState::ok;
   }
-  // Where calls scatter like this, a pass would say nothing.
-  if (noise_spread(q.times_ms) > kNoisySpread) a.state = GateState::noisy;
+  // Where calls scatter like this, a pass would say nothing. Slower than the noise allows is SLOW all the
+  // same.
+  if (a.state != GateState::slow && noise_spread(q.times_ms) > kNoisySpread) a.state = GateState::noisy;
   // One impossible call is enough: it did not do the work.
   const double fastest = *std::min_element(q.times_ms.begin(), q.times_ms.end());
   if (fastest < q.fastest_possible_ms) a.state = GateState::below_floor;

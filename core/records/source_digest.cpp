@@ -247,7 +247,8 @@ fs::path located(const Roots& roots, const std::string& file) {
 
 void visit(const Roots& root, const std::string& file, std::set<std::string>& seen) {
   if (!seen.insert(file).second || !is_source(file)) return;
-  if (is_header(file)) {
+  const bool elsewhere = root.of_module && (file.starts_with("cases/") || file.starts_with("core/"));
+  if (is_header(file) && !elsewhere) {
     for (const char* extension : {".cpp", ".cu", ".c"}) {
       const std::string implementation = fs::path(file).replace_extension(extension).generic_string();
       if (fs::exists(located(root, implementation))) visit(root, implementation, seen);

@@ -19,6 +19,9 @@ struct SourceDigest {
 /// `source`.
 struct Roots {
   std::string source, overlay;
+  /// Of headers below cases/ and core/ the implementations do not count: a module reads a task's contract,
+  /// but does not link its case file.
+  bool of_module = false;
 };
 
 /// C++ or CUDA source reduced to its tokens: comments removed, tokens joined by single blanks,

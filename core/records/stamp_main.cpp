@@ -19,7 +19,7 @@ int main(int argc, char** argv) {
   try {
     const std::string module = options["--module"];
     const SourceDigest digest =
-        digest_sources({options["--root"], options["--overlay"]}, {options["--source"]});
+        digest_sources({options["--root"], options["--overlay"], true}, {options["--source"]});
     const nlohmann::json stamp = {{"sources", digest.total},
                                   {"flags", options["--flags"]},
                                   {"compiler", options["--compiler"]},

@@ -57,6 +57,7 @@ enum LoadFlags : std::uint32_t {
 enum CallFlags : std::uint32_t {
   kTimed = 1,      ///< bring the clocks up and empty the L2 cache first (device)
   kUnderTool = 2,  ///< a tool slows the device: do not look for work that ends late
+  kDiscard = 4,    ///< a warm-up: the outputs stay where they are
 };
 
 struct Request {

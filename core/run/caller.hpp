@@ -31,6 +31,7 @@ struct CallProblem {
   std::vector<gpuphys_scalar> scalars;
   bool timed = false;       ///< clocks up and caches empty first
   bool under_tool = false;  ///< work that ends late is not looked for
+  bool discard = false;     ///< outputs need not reach host memory
 
   /// What crosses the C interface, with the given data pointers (null: shapes only).
   struct View {

@@ -77,7 +77,7 @@ std::vector<std::string> devices() {
 
 }  // namespace
 
-std::string confine(const std::vector<std::string>& readable) {
+std::string confine(const std::vector<std::string>& readable, bool own_namespace) {
   const long version = ::syscall(SYS_landlock_create_ruleset, nullptr, 0, LANDLOCK_CREATE_RULESET_VERSION);
   if (version < 1) return std::string("the kernel has no Landlock: ") + std::strerror(errno);
   Ruleset rules(static_cast<int>(version));
@@ -88,9 +88,12 @@ std::string confine(const std::vector<std::string>& readable) {
   for (const std::string& path : readable) rules.allow(path, read);
   for (const std::string& path : devices())
     rules.allow(path, kReadFile | kReadFolder | kWriteFile | kIoctlDev | kTruncate);
-  // CUDA names its threads and asks the driver through these; its first allocation fails without.
-  rules.allow("/proc/self", read | kWriteFile);
-  rules.allow("/proc/driver", read | kWriteFile);
+  // CUDA names its threads and asks the driver through these, some of them opened to be truncated; it does
+  // not start without. In a namespace of its own /proc shows nobody else.
+  const unsigned long long write = read | kWriteFile | kTruncate | kIoctlDev;
+  if (own_namespace) rules.allow("/proc", write);
+  rules.allow("/proc/self", write);
+  rules.allow("/proc/driver", write);
   if (::prctl(PR_SET_NO_NEW_PRIVS, 1, 0, 0, 0) != 0 || !rules.enforce())
     return std::string("Landlock cannot be enforced: ") + std::strerror(errno);
   return "";

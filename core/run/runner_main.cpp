@@ -14,6 +14,7 @@
 #include <sched.h>
 #include <signal.h>
 #include <sys/mman.h>
+#include <sys/mount.h>
 #include <sys/prctl.h>
 #include <sys/socket.h>
 #include <sys/wait.h>
@@ -261,6 +262,7 @@ class Worker {
     CallProblem problem;
     problem.timed = (q.flags & kTimed) != 0;
     problem.under_tool = (q.flags & kUnderTool) != 0;
+    problem.discard = (q.flags & kDiscard) != 0;
     std::vector<Mapped> mappings;
     n_regions = 0;
     const auto map = [&](const ArrayAt& at, int protection, int flags) {
@@ -329,7 +331,7 @@ std::vector<std::string> own_libraries() {
   return {folders.begin(), folders.end()};
 }
 
-[[noreturn]] void work(const Options& o) {
+[[noreturn]] void work(const Options& o, bool own_namespace) {
   ::prctl(PR_SET_PDEATHSIG, SIGKILL);
   ::setsid();
   ::close_range(kEnding, ~0u, 0);
@@ -339,7 +341,7 @@ std::vector<std::string> own_libraries() {
   if (unconfined.empty()) {
     std::vector<std::string> readable = o.readable;
     for (std::string& folder : own_libraries()) readable.push_back(std::move(folder));
-    unconfined = confine(readable);
+    unconfined = confine(readable, own_namespace);
   }
   watch_bad_accesses();
   tell(report_of(Tell::confined, 0, unconfined));
@@ -350,9 +352,15 @@ std::vector<std::string> own_libraries() {
 // Waits for the worker and passes on how it ended. In a namespace of its own this is the first process:
 // orphans come to it, and all end with it.
 [[noreturn]] void init(const Options& o, bool own_namespace) {
-  if (own_namespace) ::prctl(PR_SET_PDEATHSIG, SIGKILL);
+  if (own_namespace) {
+    ::prctl(PR_SET_PDEATHSIG, SIGKILL);
+    // /proc must be that of the namespace: CUDA looks itself up there by its process id. And memory that
+    // other processes share is out of sight.
+    own_namespace = ::mount("proc", "/proc", "proc", MS_NOSUID | MS_NODEV | MS_NOEXEC, nullptr) == 0;
+    (void)!::mount("tmpfs", "/dev/shm", "tmpfs", MS_NOSUID | MS_NODEV, "size=64m");
+  }
   const pid_t worker = ::fork();
-  if (worker == 0) work(o);
+  if (worker == 0) work(o, own_namespace);
   ::close(kSocket);
   int status = 0;
   for (;;) {
@@ -368,8 +376,10 @@ std::vector<std::string> own_libraries() {
 
 [[noreturn]] void supervise(const Options& o) {
   ::prctl(PR_SET_PDEATHSIG, SIGKILL);
-  const bool own_namespace =
-      o.name_space && (::unshare(CLONE_NEWPID) == 0 || ::unshare(CLONE_NEWUSER | CLONE_NEWPID) == 0);
+  const bool own_namespace = o.name_space &&
+                             (::unshare(CLONE_NEWPID | CLONE_NEWNS) == 0 ||
+                              ::unshare(CLONE_NEWUSER | CLONE_NEWPID | CLONE_NEWNS) == 0) &&
+                             ::mount("none", "/", nullptr, MS_REC | MS_PRIVATE, nullptr) == 0;
   if (!own_namespace) init(o, false);  // the judge looks for what is left over
   const pid_t first = ::fork();
   if (first < 0) ::_exit(kCannotStart);

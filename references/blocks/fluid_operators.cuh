@@ -81,7 +81,6 @@ static __global__ void __launch_bounds__(Policy::threads, Policy::blocks_per_sm)
     find_lambda(const __grid_constant__ Fluid f, const __grid_constant__ Constraint law, int4* with_lambda) {
   __shared__ Queue<Lists::written> queue;
   const auto [slot, mine] = own_slot(f);
-  if (blockIdx.x == 0 && threadIdx.x == 0) f.drift[f.iteration] = drift_of(f);
   float density = 0.0f, squares = 0.0f;  // with the particle's own
   float3 sum{0.0f, 0.0f, 0.0f};
   for_each_neighbour<true, Lists::written>(f, queue, slot, mine, [&](int, const Pair& pair, float) {
@@ -99,12 +98,11 @@ static __global__ void __launch_bounds__(Policy::threads, Policy::blocks_per_sm)
   if (mine) with_lambda[slot] = own;
 }
 
-/// What an iteration writes: where the particles are after it.
+/// What an iteration writes.
 struct Moved {
   float4* shift;
-  int4* places;
-  unsigned* codes;
-  float* out;  // positions in the order of the input, if it is not null
+  float* now;  // positions, x, y, z
+  float* out;  // or, if this is not null, only those, in the order of the input
 };
 
 /// Moves the particles; lambda is in the fourth word of their places.
@@ -123,26 +121,15 @@ static __global__ void __launch_bounds__(Policy::threads, Policy::reading_blocks
     sum.y += factor * pair.d.y;
     sum.z += factor * pair.d.z;
   });
-  const float4 x = f.x[slot], before = f.shift[slot];
-  float4 shift = before;
+  const float4 x = f.x[slot];
+  float4 shift = f.shift[slot];
   shift.x -= law.spiky * sum.x;
   shift.y -= law.spiky * sum.y;
   shift.z -= law.spiky * sum.z;
-  const float step =
-      fmaxf(fmaxf(fabsf(shift.x - before.x), fabsf(shift.y - before.y)), fabsf(shift.z - before.z));
-  if (mine) {
-    const int4 place = place_of(f.units, x, shift);
-    moved.shift[slot] = shift;
-    moved.places[slot] = place;
-    moved.codes[slot] = code_of(f.units, place);
-  }
-  // Floats from 0 on are in the order of their bits. What is read may be old: then it is too low.
-  const int largest = static_cast<int>(__reduce_max_sync(0xffffffffu, __float_as_uint(step)));
-  int* const most = reinterpret_cast<int*>(f.largest_move + f.iteration);
-  if (threadIdx.x % 32 == 0 && largest > *static_cast<volatile int*>(most)) atomicMax(most, largest);
-  if (moved.out != nullptr)
-    scatter(moved.out, staged, mine ? __float_as_int(x.w) : -1,
-            {x.x + shift.x, x.y + shift.y, x.z + shift.z});
+  const float3 now{x.x + shift.x, x.y + shift.y, x.z + shift.z};
+  if (moved.out == nullptr && mine) moved.shift[slot] = shift;
+  const int index = moved.out != nullptr ? __float_as_int(x.w) : slot;
+  scatter(moved.out != nullptr ? moved.out : moved.now, staged, mine ? index : -1, now);
 }
 
 // ---- Velocities: of a fluid at rest in its places, `velocity`; of one that moved, shift / dt ----
@@ -259,70 +246,73 @@ class Solver {
     const auto count = static_cast<std::size_t>(n);
     grid_.template allocate<Particles<with>>(n);
     split_ = DeviceBuffer<Particle>(grid_.records(n));
-    sorted_ = DeviceBuffer<float4>(2 * count);
-    codes_[0] = DeviceBuffer<unsigned>(count + padding);
+    sorted_[0] = DeviceBuffer<float4>(2 * count);
+    codes_ = DeviceBuffer<unsigned>(count + padding);
     if constexpr (kMoves) places_[0] = DeviceBuffer<int4>(count);
     if (lists) {
       hits_ = DeviceBuffer<int>(static_cast<std::size_t>(Policy::listed) * count);
       hit_count_ = DeviceBuffer<int>(count);
     }
-    moves_ = static_cast<std::size_t>(iterations) + 1;
-    drift_ = DeviceBuffer<float>(2 * moves_);
     if (iterations > 0) {
-      codes_[1] = DeviceBuffer<unsigned>(count + padding);
+      sorted_[1] = DeviceBuffer<float4>(2 * count);
       places_[1] = DeviceBuffer<int4>(count);
       moved_ = DeviceBuffer<float4>(count);
+      now_ = DeviceBuffer<float>(3 * count);
     }
   }
 
   /// Sorts the particles. `predicted`, dt and g for With::step only.
   void sort(const float* x, const float* v, int n, float h, const float* predicted = nullptr, float dt = 0,
             float3 g = {0, 0, 0}) {
-    const Units units = units_of(h);
-    grid_.build(Particles<with>{x, v, predicted, h, dt, g, units, split_.get(), sorted_.get(),
-                                codes_[0].get(), places_[0].get(), n});
+    source_ = {x,
+               v,
+               with == With::step ? predicted : x,
+               {nullptr, nullptr},
+               h,
+               dt,
+               g,
+               units_of(h),
+               split_.get(),
+               sorted_[0].get(),
+               codes_.get(),
+               places_[0].get(),
+               n};
+    grid_.build(source_);
     fluid_ = {};
     fluid_.grid = grid_.grid();
     fluid_.start = grid_.start();
-    fluid_.x = sorted_.get();
-    fluid_.shift = sorted_.get() + n;
-    fluid_.codes = codes_[0].get();
-    fluid_.drift = drift_.get();
-    fluid_.largest_move = drift_.get() + moves_;
+    fluid_.codes = codes_.get();
     fluid_.hits = hits_.get();
     fluid_.hit_count = hit_count_.get();
     fluid_.count = n;
-    fluid_.places = places_[0].get();
-    fluid_.units = units;
+    fluid_.units = source_.units;
     fluid_.h = h;
-    const double reach = static_cast<double>(h) * (kMoves ? static_cast<double>(units.per_metre) : 1);
+    const double reach = static_cast<double>(h) * (kMoves ? static_cast<double>(source_.units.per_metre) : 1);
     fluid_.inverse_h = static_cast<float>(1 / reach);
     fluid_.inverse_square = static_cast<float>(1 / (reach * reach));
+    use(source_);
   }
 
-  /// Jacobi iterations on the sorted particles; the positions after the last one go to `out`, if it is not
-  /// null.
+  /// Jacobi iterations on the sorted particles, which are sorted again after each. If `out` is not null, only
+  /// the positions after the last one are of interest: they go there, in the order of the input.
   void solve(float rho0, float eps, float k_corr, float dq, int iterations, float* out) {
     const double reference = 1 - static_cast<double>(dq) * static_cast<double>(dq);
     const auto rest = static_cast<double>(rho0);
     const Constraint law{static_cast<float>(poly6_factor(fluid_.h) / rest),
                          static_cast<float>(spiky_factor(fluid_.h) / rest), eps,
                          static_cast<float>(static_cast<double>(k_corr) / std::pow(reference, 12))};
-    GPUPHYS_CUDA(cudaMemsetAsync(fluid_.largest_move, 0, sizeof(float) * moves_));
-    float4* const shift = sorted_.get() + fluid_.count;
     for (int k = 0; k < iterations; ++k) {
-      fluid_.iteration = k;
-      // Each kernel reads one copy of what it replaces, and writes another.
       find_lambda<<<blocks(), Policy::threads>>>(fluid_, law, places_[1].get());
       fluid_.places = places_[1].get();
-      const Moved moved{k % 2 == 0 ? moved_.get() : sorted_.get() + fluid_.count, places_[0].get(),
-                        codes_[1 - k % 2].get(), k + 1 == iterations ? out : nullptr};
-      move<<<blocks(), Policy::threads>>>(fluid_, law, moved);
-      fluid_.shift = moved.shift;
-      fluid_.places = moved.places;
-      fluid_.codes = moved.codes;
+      const bool last = k + 1 == iterations && out != nullptr;
+      move<<<blocks(), Policy::threads>>>(fluid_, law, Moved{moved_.get(), now_.get(), last ? out : nullptr});
+      if (last) break;
+      source_.now = now_.get();
+      source_.before = {fluid_.x, moved_.get()};
+      source_.sorted = sorted_[1 - k % 2].get();
+      grid_.build(source_);
+      use(source_);
     }
-    fluid_.iteration = iterations;
   }
 
   /// Vorticity confinement of the velocities `v`: into `after` (of particles that moved) or `out`.
@@ -349,18 +339,24 @@ class Solver {
  private:
   static constexpr bool kMoves = with != With::velocity;
 
+  void use(const Particles<with>& sorted) {
+    fluid_.x = sorted.sorted;
+    fluid_.shift = sorted.sorted + sorted.count;
+    fluid_.places = sorted.places;
+  }
+
   unsigned blocks() const {
     return static_cast<unsigned>((fluid_.count + Policy::threads - 1) / Policy::threads);
   }
 
   neighbour_grid::NeighbourGrid<GridPolicy> grid_;
   DeviceBuffer<Particle> split_;
-  DeviceBuffer<float4> sorted_, moved_;
+  DeviceBuffer<float4> sorted_[2], moved_;
   DeviceBuffer<int4> places_[2];
-  DeviceBuffer<unsigned> codes_[2];
+  DeviceBuffer<unsigned> codes_;
   DeviceBuffer<int> hits_, hit_count_;
-  DeviceBuffer<float> drift_;
-  std::size_t moves_ = 1;
+  DeviceBuffer<float> now_;
+  Particles<with> source_{};
   Fluid fluid_{};
 };
 

@@ -16,9 +16,9 @@
 // the input where nothing moves, of places where particles do. (Where cells had to be made so wide that
 // places of candidates may wrap around, from x and shift, two loads.)
 //
-// x stays as it came; shift is what was moved since, and is added at the end. The grid stays that of the
-// sort. Drift, an upper bound on how far any particle has moved since along an axis, widens the search:
-// nobody is missed, however far; the search is slower where drift is large against h.
+// x stays as it came; shift is what was moved since, and is added at the end. Sorting again costs a third of
+// a search. A search in the old order instead would have to reach further by how far anybody has moved since,
+// half of h in five iterations: thrice the candidates.
 #pragma once
 
 #include <cuda_runtime.h>
@@ -140,13 +140,21 @@ enum class With {
   step       // dt (v + dt g); the cell is that of the position it leads to
 };
 
-/// A Source for the neighbour grid (neighbour_grid.cuh).
+/// Particles that were sorted before, in that order.
+struct Before {
+  const float4* x;
+  const float4* shift;
+};
+
+/// A Source for the neighbour grid (neighbour_grid.cuh): the input or, where before.x is not null, particles
+/// that were sorted before and have moved.
 template <With with>
 struct Particles {
   using Record = Particle;
   const float* __restrict__ x;
-  const float* __restrict__ v;          // not read With::nothing
-  const float* __restrict__ predicted;  // With::step: x + dt (v + dt g), for the box
+  const float* __restrict__ v;    // not read With::nothing
+  const float* __restrict__ now;  // where they are, x, y, z: for the box
+  Before before;
   float h, dt;
   float3 g;
   Units units;
@@ -156,10 +164,11 @@ struct Particles {
   int4* __restrict__ places;  // not written With::velocity
   int count;
 
-  __device__ __forceinline__ const float* positions() const { return with == With::step ? predicted : x; }
+  __device__ __forceinline__ const float* positions() const { return now; }
   __device__ __forceinline__ float radius() const { return 0.5f * h; }
   static constexpr int chunk_v = 3 * 32, chunk_floats = with == With::nothing ? chunk_v : 2 * chunk_v;
   __device__ __forceinline__ void prefetch(float* chunk, int first, int end) const {
+    if (before.x != nullptr) return;
     const unsigned lane = threadIdx.x % 32, last = 3u * static_cast<unsigned>(end);
     constexpr unsigned piece_v = chunk_v / 4, pieces = chunk_floats / 4;
 #pragma unroll
@@ -173,6 +182,10 @@ struct Particles {
     }
   }
   __device__ __forceinline__ Particle record(const float* chunk, int i) const {
+    if (before.x != nullptr) {
+      const int slot = min(i, count - 1);
+      return {before.x[slot], before.shift[slot]};
+    }
     const float* const own = chunk + 3u * (threadIdx.x % 32);
     Particle p{make_float4(own[0], own[1], own[2], __int_as_float(i)), make_float4(0, 0, 0, 0)};
     if constexpr (with != With::nothing)
@@ -186,12 +199,12 @@ struct Particles {
   }
   // Not to be contracted with what a kernel knows of the displacement: both sorts must agree.
   __device__ __forceinline__ float3 position(const Particle& p) const {
-    if constexpr (with != With::step) return {p.x.x, p.x.y, p.x.z};
+    if constexpr (with == With::velocity) return {p.x.x, p.x.y, p.x.z};
     return {__fadd_rn(p.x.x, p.other.x), __fadd_rn(p.x.y, p.other.y), __fadd_rn(p.x.z, p.other.z)};
   }
   __device__ __forceinline__ void placed(const neighbour_grid::Grid&, int slot, const Particle& p) const {
     const float4 still = make_float4(0, 0, 0, 0);
-    const int4 place = place_of(units, p.x, with == With::step ? p.other : still);
+    const int4 place = place_of(units, p.x, with == With::velocity ? still : p.other);
     codes[slot] = code_of(units, place);
     if constexpr (with != With::velocity) places[slot] = place;
     if (slot > 0) return;
@@ -210,21 +223,13 @@ struct Fluid {
   const float4* shift;    // not read where nothing moves, as are
   const int4* places;     // where the particles are now, and a word (lambda)
   const unsigned* codes;  // of where they are now
-  float* drift;           // before each iteration, and
-  float* largest_move;    // within it: largest along an axis
-  int iteration;
-  int* hits;       // lists: number k of slot s is hits[k * count + s]
-  int* hit_count;  // of each slot; a list with more than Policy::listed is of no use
+  int* hits;              // lists: number k of slot s is hits[k * count + s]
+  int* hit_count;         // of each slot; a list with more than Policy::listed is of no use
   int count;
   Units units;
   float h;
   float inverse_h, inverse_square;  // 1 / h, 1 / h^2, in the unit of the pairs' distances
 };
-
-/// How far any particle may have moved along an axis before this iteration.
-__device__ __forceinline__ float drift_of(const Fluid& f) {
-  return f.iteration == 0 ? 0.0f : f.drift[f.iteration - 1] + f.largest_move[f.iteration - 1];
-}
 
 enum class Lists { unused, written, read };
 
@@ -247,12 +252,12 @@ struct Pair {
   float square;
 };
 
-/// Whether places of candidates may be too far apart for a difference modulo 2^32.
-__device__ __forceinline__ bool wraps(const Fluid& f, float drift) {
+/// Whether places of candidates may be too far apart for a difference modulo 2^32: 256 h or more.
+__device__ __forceinline__ bool wraps(const Fluid& f) {
   float widest = 0.0f;
 #pragma unroll
   for (int d = 0; d < 3; ++d) widest = fmaxf(widest, 1.0f / f.grid->inverse_edge[d]);
-  return !(widest + 2.0f * drift < 100.0f * f.h);
+  return !(widest < 100.0f * f.h);
 }
 
 /// Calls meet(slot of another particle, Pair, the fourth word of its place) for all particles within h of the
@@ -263,12 +268,10 @@ __device__ __forceinline__ void for_each_neighbour(const Fluid& f, Queue<lists>&
   const int thread = static_cast<int>(threadIdx.x);
   const float4 x = f.x[slot];
   int4 place;
-  float drift = 0.0f;
   bool wide = false;
   if constexpr (moves) {
     place = f.places[slot];
-    drift = drift_of(f);
-    wide = wraps(f, drift);
+    wide = wraps(f);
   }
   const auto visit = [&](int j) {
     Pair pair;
@@ -378,8 +381,8 @@ __device__ __forceinline__ void for_each_neighbour(const Fluid& f, Queue<lists>&
       if (bits[c] != 0) ++top;
     }
   };
-  // Of the cells of the others, which are those of where they were sorted, to within rounding.
-  float cutoff = (f.h + drift) * 1.00001f;
+  float cutoff = f.h * 1.00001f;
+  // Cells are those of x + shift as rounded.
   if constexpr (moves) cutoff += fmaxf(fmaxf(fabsf(now.x), fabsf(now.y)), fabsf(now.z)) * 0x1p-22f;
   neighbour_grid::visit_ranges<Policy::longest_run>(grid, f.start, now, cutoff, make_room, search);
   sweep();

@@ -47,21 +47,24 @@ namespace gpuphys::tiles {
 /// Tiles of SideX x SideY x SideZ cells for splines of order 1 (hat) or 2 (quadratic) on collocated nodes or
 /// on the faces of a MAC grid.
 ///
-/// Clamped: for gathers (locate_clamped()). A particle that no node reaches counts as one in the nearest cell that
-/// some node does reach: clamped to the array, all its nodes are the same, and its place in the cell is nothing.
-template <int SideX, int SideY, int SideZ, int Order, bool Staggered, bool Clamped = false>
+/// Clamped: for gathers (locate_clamped()). Along an axis, a particle that no node reaches counts as one in
+/// the nearest cell that some node does reach: clamped to the array, all its nodes are the same, and its
+/// place in the cell is nothing. Where particles scatter as well, Beyond = 1: the cell is the next one, which
+/// no node reaches.
+template <int SideX, int SideY, int SideZ, int Order, bool Staggered, bool Clamped = false, int Beyond = 0>
 struct Tiling {
   static_assert(Order == 1 || Order == 2);
   static constexpr int order = Order;
   static constexpr bool staggered = Staggered;
   static constexpr bool clamped = Clamped;
+  static constexpr int beyond = Beyond;              ///< cells more at either end
   static constexpr int lowest = Staggered ? -1 : 0;  ///< node reached, from the key
   static constexpr int highest = Order;
   static constexpr int reach = highest - lowest + 1;  ///< nodes from the lowest to the highest
   static constexpr int cells = SideX * SideY * SideZ;
   __host__ __device__ static constexpr int side(int d) { return d == 0 ? SideX : d == 1 ? SideY : SideZ; }
   /// Key of tile 0's first cell. Staggered: a tile begins at cell 0, as the blocks of particles often do.
-  __host__ __device__ static constexpr int first(int d) { return Staggered ? -side(d) : -Order; }
+  __host__ __device__ static constexpr int first(int d) { return Staggered ? -side(d) : -Order - beyond; }
   static_assert(SideX >= highest && SideY >= highest && SideZ >= highest && SideX > highest - lowest - 1);
 };
 
@@ -87,7 +90,7 @@ TileGrid make_tile_grid(std::int64_t nx, std::int64_t ny, std::int64_t nz, float
     if (n[d] < 1 || n[d] >= (1 << 24))
       throw std::runtime_error("the array must have 1 to 2^24 - 1 nodes along each axis");
     g.nodes[d] = static_cast<int>(n[d]);
-    const int keys = g.nodes[d] - Tiling::lowest - Tiling::first(d);
+    const int keys = g.nodes[d] - Tiling::lowest + Tiling::beyond - Tiling::first(d);
     g.tiles[d] = (keys + Tiling::side(d) - 1) / Tiling::side(d);
     nodes *= g.tiles[d];
   }
@@ -109,7 +112,7 @@ struct Place {
                     ///< collocated and clamped: position from the nearest node, [-1/2, 1/2];
                     ///< staggered: position from the nearest whole cell's plane, [-1/2, 1/2], below 0 in the
                     ///< upper half of the cell
-  int cell;         ///< number of the cell in the tile, z fastest (collocated: cell_of() says, unless clamped)
+  int cell;  ///< number of the cell in the tile, z fastest (collocated: cell_of() says, unless clamped)
 };
 
 /// Position x in cells, less the whole number `cell`: as exact as float32 holds it, for any spacing.
@@ -126,8 +129,8 @@ __device__ __forceinline__ int whole(float x) {
   return __float2int_rd(fminf(fmaxf(x, -1e9f), 1e9f));
 }
 
-/// locate() of a gather: every particle has a tile and a cell. The remainder decides the cell, not the quotient, so
-/// that rounding never puts a particle a cell away from its place.
+/// locate() of a gather: every particle has a tile and a cell. The remainder decides the cell, not the
+/// quotient, so that rounding never puts a particle a cell away from its place.
 template <class Tiling>
 __device__ __forceinline__ Place locate_clamped(const TileGrid& g, float x, float y, float z) {
   const float position[3] = {x, y, z};
@@ -138,17 +141,21 @@ __device__ __forceinline__ Place locate_clamped(const TileGrid& g, float x, floa
   for (int d = 0; d < 3; ++d) {
     const int side = Tiling::side(d);
     const float cells = g.inverse_dx != 0.0f ? position[d] * g.inverse_dx : position[d] / g.dx;
-    const int nearest = whole(cells + 0.5f);  // half-way, either will do
-    const float from_nearest = g.inverse_dx != 0.0f ? cells - static_cast<float>(nearest)
-                                                    : beyond(g, position[d], nearest);
+    int nearest = whole(cells + 0.5f);  // half-way, either will do
+    float from_nearest =
+        g.inverse_dx != 0.0f ? cells - static_cast<float>(nearest) : beyond(g, position[d], nearest);
+    // Where rounding went across the half: the hat has a kink there.
+    const int next = from_nearest > 0.5f ? 1 : from_nearest < -0.5f ? -1 : 0;
+    nearest += next;
+    from_nearest -= static_cast<float>(next);
     static_assert(Tiling::staggered || Tiling::order == 2, "of two nodes the lower one is not the nearest");
     const int key = !Tiling::staggered || from_nearest < 0.0f ? nearest - 1 : nearest;
-    const int lowest = -Tiling::highest, highest = g.nodes[d] - Tiling::lowest - 1;
+    const int lowest = -Tiling::highest - Tiling::beyond,
+              highest = g.nodes[d] - Tiling::lowest - 1 + Tiling::beyond;
     const unsigned from_first = static_cast<unsigned>(min(max(key, lowest), highest) - Tiling::first(d));
     tile[d] = static_cast<int>(from_first / static_cast<unsigned>(side));
     p.cell = p.cell * side + static_cast<int>(from_first % static_cast<unsigned>(side));
-    // A little more than a half where the quotient was rounded across: the splines go on smoothly.
-    p.offset[d] = fminf(fmaxf(from_nearest, -0.75f), 0.75f);
+    p.offset[d] = fminf(fmaxf(from_nearest, -0.5f), 0.5f);  // far outside anything will do
   }
   p.tile = g.tile(tile[0], tile[1], tile[2]);
   return p;
@@ -190,7 +197,10 @@ __device__ __forceinline__ Place locate(const TileGrid& g, float x, float y, flo
       // Where the quotient was rounded across a plane.
       p.offset[d] = upper ? fminf(p.offset[d], -0x1p-30f) : fmaxf(p.offset[d], 0.0f);
     } else {
-      p.offset[d] = cells - static_cast<float>(tile[d] * side + first);
+      const int near = Tiling::order == 1 ? key : key + 1, tile_first = tile[d] * side + first;
+      p.offset[d] = g.inverse_dx != 0.0f
+                        ? cells - static_cast<float>(tile_first)
+                        : static_cast<float>(near - tile_first) + beyond(g, position[d], near);
     }
   }
   p.tile = reaches ? g.tile(tile[0], tile[1], tile[2]) : -1;

@@ -206,11 +206,14 @@ __device__ __forceinline__ CompactBox compact_box(const Diagonal& diagonal, cons
   float largest = fmaxf(fmaxf(extent[0], extent[1]), fmaxf(extent[2], 1e-30f));
   if (beyond > 0.0f) {
     const float wider = beyond * largest;
+    const float high[3] = {largest_of(points.x), largest_of(points.y), largest_of(points.z)};
+#pragma unroll
     for (int d = 0; d < 3; ++d) {
+      // The corner goes down by a unit in the last place at least, which may be more than all extents.
       box.low[d] = __fadd_rd(box.low[d], -wider);
-      extent[d] += 3.0f * wider;
+      extent[d] = (high[d] - box.low[d]) + 2.0f * wider;
     }
-    largest += 3.0f * wider;
+    largest = fmaxf(fmaxf(extent[0], extent[1]), extent[2]);
   }
   // In a unit of 2^(e - 134), e the exponent below, the largest extent is less than 256 / (1 + 2^-7) < 254.1.
   const int e = static_cast<int>(__float_as_uint((1.0f + 0x1p-7f) * largest) >> 23);

@@ -1,18 +1,21 @@
-// Building block: values of a grid to particles in random order. A task's own file says what a particle takes from the
-// samples around it, and what becomes of that.
+// Building block: values of a grid to particles in random order. A task's own file says what a particle takes
+// from the samples around it, and what becomes of that.
 //
 //   bin      particles to tiles of cells (particle_tiles.cuh): a slot in its tile's list for each particle
 //   place    a thread a particle: {place in its cell 3, number of the cell} to its slot, 16 bytes
-//   gather   a block for a piece of a tile's list: brings the tile's samples and their halo to shared memory, sorts the
-//            piece by cell, so that the lanes of a warp ask for the same few samples, and a thread for each particle
-//            evaluates. Results leave in the order of the slots, in whole lines
-//   finish   the task's own: a thread a particle, in the order of the input again, fetches its result from its slot
+//   gather   a block for a piece of a tile's list: brings the tile's samples and their halo to shared memory,
+//   sorts the
+//            piece by cell, so that the lanes of a warp ask for the same few samples, and a thread for each
+//            particle evaluates. Results leave in the order of the slots, in whole lines
+//   finish   the task's own: a thread a particle, in the order of the input again, fetches its result from
+//   its slot
 //
-//   particles  0 1 2 3 4 ...  --place-->  | tile a: 4 0 7 | tile b: 3 9 | ...  --gather-->  results  --finish-->  0 1 2 3
+//   particles  0 1 2 3 4 ...  --place-->  | tile a: 4 0 7 | tile b: 3 9 | ...  --gather-->  results
+//   --finish-->  0 1 2 3
 //
-// Why not straight from the grid: 27 nodes of 16 bytes in 9 rows are 18 sectors of 32 bytes, 576 bytes a particle from L2
-// (where a grid of 256^3 nodes does not fit: from DRAM). Here a particle costs 16 bytes out and in for its place, some 12
-// for its tile, and its result twice.
+// Why not straight from the grid: 27 nodes of 16 bytes in 9 rows are 18 sectors of 32 bytes, 576 bytes a
+// particle from L2 (where a grid of 256^3 nodes does not fit: from DRAM). Here a particle costs 16 bytes out
+// and in for its place, some 12 for its tile, and its result twice.
 #pragma once
 
 #include <cuda_runtime.h>
@@ -28,11 +31,15 @@
 
 namespace gpuphys::tiles {
 
-/// Arrays of samples that are gathered from: of each, extents and the first element.
+/// A source of samples: how many arrays there are, their extents, and a sample of one by its place in the
+/// array. This one has its samples in memory; a task may bring a source of its own, which computes them.
 template <int Arrays>
 struct Samples {
+  static constexpr int arrays = Arrays;
   const float* __restrict__ values[Arrays];
   int extent[Arrays][3];
+
+  __device__ __forceinline__ float at(int array, std::int64_t i) const { return __ldg(values[array] + i); }
 };
 
 /// A tile's samples and their halo along an axis, from `lowest` on.
@@ -55,8 +62,8 @@ struct Tile {
   }
 };
 
-/// Weights of three samples in a row along an axis, and what else they are weighted with: slopes or moments, whose sum
-/// is 0.
+/// Weights of three samples in a row along an axis, and what else they are weighted with: slopes or moments,
+/// whose sum is 0.
 struct Along3 {
   float w[3], d[3];
 };
@@ -66,8 +73,8 @@ struct Sum27 {
   float first[3];  ///< the same with d in place of w along x, y, z
 };
 
-/// Sums over 27 samples, the lowest one at `samples`. The middle sample is taken off all of them first: nothing that
-/// they have in common is rounded.
+/// Sums over 27 samples, the lowest one at `samples`. The middle sample is taken off all of them first:
+/// nothing that they have in common is rounded.
 template <class Tile>
 __device__ __forceinline__ Sum27 sum_27(const float* __restrict__ samples, const Along3& x, const Along3& y,
                                         const Along3& z) {
@@ -79,8 +86,10 @@ __device__ __forceinline__ Sum27 sum_27(const float* __restrict__ samples, const
 #pragma unroll
     for (int j = 0; j < 3; ++j) {
       const float* row = samples + i * Tile::kPlane + j * Tile::kRow;
-      const float a = row[0] - middle, b = row[1] - middle, c = row[2] - middle;
-      const float plain = z.w[0] * a + z.w[1] * b + z.w[2] * c, other = z.d[0] * a + z.d[1] * b + z.d[2] * c;
+      // Of three weights that add up to 1, and of three others that add up to 0, the middle ones are not
+      // needed.
+      const float a = row[0] - row[1], c = row[2] - row[1];
+      const float plain = (row[1] - middle) + (z.w[0] * a + z.w[2] * c), other = z.d[0] * a + z.d[2] * c;
       value += y.w[j] * plain;
       along_y += y.d[j] * plain;
       along_z += y.w[j] * other;
@@ -100,8 +109,8 @@ struct Placed {
   int cell;
 };
 
-/// Writes the places of the particles to their slots, and slots that had to be asked for to bins.slots. A thread a
-/// particle.
+/// Writes the places of the particles to their slots, and slots that had to be asked for to bins.slots. A
+/// thread a particle.
 template <class Tiling, int Threads>
 __global__ void __launch_bounds__(Threads)
     place_particles(const __grid_constant__ TileGrid grid, const __grid_constant__ BinningView bins,
@@ -123,9 +132,10 @@ struct GatherShared {
   CellOrder<Tiling::cells, Piece> cells;
 };
 
-template <class Tiling, int Arrays, int Threads>
-__device__ __forceinline__ void load_tile(Tile<Tiling, Arrays>& tile, const Samples<Arrays>& samples, const int4& at) {
-  using T = Tile<Tiling, Arrays>;
+template <class Tiling, int Threads, class Source>
+__device__ __forceinline__ void load_tile(Tile<Tiling, Source::arrays>& tile, const Source& source,
+                                          const int4& at) {
+  using T = Tile<Tiling, Source::arrays>;
   const int first[3] = {at.x * Tiling::side(0) + Tiling::first(0) + Tiling::lowest,
                         at.y * Tiling::side(1) + Tiling::first(1) + Tiling::lowest,
                         at.z * Tiling::side(2) + Tiling::first(2) + Tiling::lowest};
@@ -133,48 +143,58 @@ __device__ __forceinline__ void load_tile(Tile<Tiling, Arrays>& tile, const Samp
     const int i = first[0] + s / T::kPlane, j = first[1] + s / T::kRow % halo_side<Tiling>(1),
               k = first[2] + s % T::kRow;
 #pragma unroll
-    for (int a = 0; a < Arrays; ++a) {
-      const int(&extent)[3] = samples.extent[Tiling::staggered ? a : 0];
+    for (int a = 0; a < Source::arrays; ++a) {
+      const int(&extent)[3] = source.extent[Tiling::staggered ? a : 0];
       const int ci = min(max(i, 0), extent[0] - 1), cj = min(max(j, 0), extent[1] - 1),
                 ck = min(max(k, 0), extent[2] - 1);
-      tile.values[a][s] = __ldg(samples.values[a] + (static_cast<std::int64_t>(ci) * extent[1] + cj) * extent[2] + ck);
+      tile.values[a][s] = source.at(a, (static_cast<std::int64_t>(ci) * extent[1] + cj) * extent[2] + ck);
     }
   }
 }
 
-/// Evaluates pieces of lists. `Transfer::evaluate(tile, placed, result)` fills the Transfer::quads float4 of a result,
-/// which lie Transfer::stride float4 apart in memory (what is between them is written too: whole sectors leave).
-template <class Transfer, class Tiling, int Arrays, int Threads, int Piece, int BlocksPerSm>
+/// Where gather() reads places: as place_particles() writes them. Others bring their own stride and reading.
+struct OwnPlaces {
+  static constexpr int stride = 1;  ///< float4 from one to the next
+  static __device__ __forceinline__ Placed placed(const float4& at) {
+    return {{at.x, at.y, at.z}, __float_as_int(at.w)};
+  }
+};
+
+/// Evaluates pieces of lists. `Transfer::evaluate(tile, placed, result)` fills the Transfer::quads float4 of
+/// a result, which lie Transfer::stride float4 apart in memory (what is between them is written too: whole
+/// sectors leave).
+template <class Transfer, class Tiling, class Source, int Threads, int Piece, int BlocksPerSm,
+          class Places = OwnPlaces>
 __global__ void __launch_bounds__(Threads, BlocksPerSm)
-    gather(const Samples<Arrays> __grid_constant__ samples, const WorkItem* __restrict__ items,
-           const int* __restrict__ item_count, const float4* __restrict__ places, float4* __restrict__ results) {
+    gather(const __grid_constant__ Source source, const WorkItem* __restrict__ items,
+           const int* __restrict__ item_count, const float4* __restrict__ places,
+           float4* __restrict__ results) {
   constexpr int quads = Transfer::quads, stride = Transfer::stride;
   constexpr int rounds = (Piece + Threads - 1) / Threads;
   static_assert(Threads >= Tiling::cells);
   extern __shared__ float4 memory[];
-  auto& shared = *reinterpret_cast<GatherShared<Tiling, Arrays, Piece, quads>*>(memory);
+  auto& shared = *reinterpret_cast<GatherShared<Tiling, Source::arrays, Piece, quads>*>(memory);
   const int thread = static_cast<int>(threadIdx.x);
   const int n_items = *item_count, step = static_cast<int>(gridDim.x);
   for (int i = static_cast<int>(blockIdx.x); i < n_items; i += step) {
     const WorkItem item = items[i];
     if (thread < Tiling::cells) shared.cells.counts[thread] = 0;
-    const float4* from = places + item.first;
+    const float4* from = places + static_cast<std::int64_t>(Places::stride) * item.first;
 #pragma unroll
     for (int s = 0; s < rounds; ++s) {
       const int p = thread + s * Threads;
-      if (p < item.count) shared.places[p] = __ldcs(from + p);
+      if (p < item.count) shared.places[p] = __ldcs(from + Places::stride * p);
     }
-    load_tile<Tiling, Arrays, Threads>(shared.tile, samples, item.tile);
+    load_tile<Tiling, Threads>(shared.tile, source, item.tile);
     __syncthreads();
     sort_by_cell<Threads>(shared.cells, item.count, [&](int p) {
-      return __float_as_int(shared.places[p].w) & (Tiling::cells - 1);  // beyond the list: any cell
+      return Places::placed(shared.places[p]).cell & (Tiling::cells - 1);  // beyond the list: any cell
     });
 #pragma unroll 1
     for (int q = thread; q < item.count; q += Threads) {
       const int p = shared.cells.order[q];
-      const float4 at = shared.places[p];
       float result[4 * quads];
-      Transfer::evaluate(shared.tile, Placed{{at.x, at.y, at.z}, __float_as_int(at.w)}, result);
+      Transfer::evaluate(shared.tile, Places::placed(shared.places[p]), result);
 #pragma unroll
       for (int e = 0; e < quads; ++e) {
         shared.results[quads * p + e] =
@@ -191,17 +211,17 @@ __global__ void __launch_bounds__(Threads, BlocksPerSm)
   }
 }
 
-/// Brings the results of a warp's particles from their slots to `packed`, Quads float4 each of Stride in memory: the
-/// lane's own at packed[Quads * lane], from the next __syncwarp() on. Stride lanes read a whole result at once. A slot
-/// below 0 brings none.
+/// Brings the results of a warp's particles from their slots to `packed`, Quads float4 each of Stride in
+/// memory: the lane's own at packed[Quads * lane], from the next __syncwarp() on. Neighbouring lanes read a
+/// whole result at once. A slot below 0 brings none.
 template <int Quads, int Stride>
-__device__ __forceinline__ void read_results(const float4* __restrict__ results, int slot, float4* __restrict__ packed) {
-  static_assert(32 % Stride == 0 && Quads <= Stride);
-  constexpr int per_load = 32 / Stride;
-  const int lane = static_cast<int>(threadIdx.x) % 32, part = lane % Stride;
+__device__ __forceinline__ void read_results(const float4* __restrict__ results, int slot,
+                                             float4* __restrict__ packed) {
+  static_assert(Quads <= Stride);
+  const int lane = static_cast<int>(threadIdx.x) % 32;
 #pragma unroll
   for (int s = 0; s < Stride; ++s) {
-    const int item = s * per_load + lane / Stride;
+    const int item = (32 * s + lane) / Stride, part = (32 * s + lane) % Stride;
     const int from = __shfl_sync(0xffffffffu, slot, item);
     if (from >= 0 && part < Quads)
       packed[Quads * item + part] = __ldcs(results + static_cast<std::int64_t>(Stride) * from + part);
@@ -210,9 +230,9 @@ __device__ __forceinline__ void read_results(const float4* __restrict__ results,
 
 /// The passes up to the task's own last one, and their memory.
 ///
-/// Policy: mark_threads, mark_stride, plan_threads, count_threads, count_shared, place_threads, gather_threads, piece,
-/// gather_blocks_per_sm.
-template <class Policy, class Transfer, class Tiling, int Arrays>
+/// Policy: mark_threads, mark_stride, plan_threads, count_threads, count_shared, place_threads,
+/// gather_threads, piece, gather_blocks_per_sm.
+template <class Policy, class Transfer, class Tiling, class Source>
 class TileGather {
  public:
   void allocate(const TileGrid& grid, std::int64_t n) {
@@ -236,17 +256,18 @@ class TileGather {
   }
 
   /// Leaves each particle's result at its slot.
-  void compute(const TileGrid& grid, const float* x, std::int64_t n, const Samples<Arrays>& samples) {
+  void compute(const TileGrid& grid, const float* x, std::int64_t n, const Source& source) {
     const BinningView& bins = bins_.view();
     bins_.clear();
     const auto parts = static_cast<unsigned>(bins.parts);
     mark<<<blocks(n, Policy::mark_threads * Policy::mark_stride), Policy::mark_threads>>>(grid, bins, x, n);
     count<<<parts, Policy::count_threads, count_shared_bytes(bins)>>>(grid, bins, x, n);
-    plan<<<blocks(grid.tile_count(), Policy::plan_threads), Policy::plan_threads>>>(grid, bins, Policy::piece, nullptr);
+    plan<<<blocks(grid.tile_count(), Policy::plan_threads), Policy::plan_threads>>>(grid, bins, Policy::piece,
+                                                                                    nullptr);
     assign<<<parts, Policy::count_threads, sizeof(int) * static_cast<std::size_t>(bins.indexed)>>>(bins, n);
     place<<<blocks(n, Policy::place_threads), Policy::place_threads>>>(grid, bins, x, n, places_.get());
     evaluate<<<static_cast<unsigned>(gather_blocks_), Policy::gather_threads, kSharedBytes>>>(
-        samples, bins.items, bins.cursors + 1, places_.get(), results_.get());
+        source, bins.items, bins.cursors + 1, places_.get(), results_.get());
   }
 
   const int* slots() const { return bins_.view().slots; }
@@ -262,9 +283,10 @@ class TileGather {
   static constexpr auto plan = plan_tiles<Tiling, Policy::plan_threads, 0>;
   static constexpr auto assign = assign_slots<Policy::count_threads>;
   static constexpr auto place = place_particles<Tiling, Policy::place_threads>;
-  static constexpr auto evaluate = gather<Transfer, Tiling, Arrays, Policy::gather_threads, Policy::piece,
-                                          Policy::gather_blocks_per_sm>;
-  static constexpr std::size_t kSharedBytes = sizeof(GatherShared<Tiling, Arrays, Policy::piece, Transfer::quads>);
+  static constexpr auto evaluate =
+      gather<Transfer, Tiling, Source, Policy::gather_threads, Policy::piece, Policy::gather_blocks_per_sm>;
+  static constexpr std::size_t kSharedBytes =
+      sizeof(GatherShared<Tiling, Source::arrays, Policy::piece, Transfer::quads>);
 
   Binning bins_;
   DeviceBuffer<float4> places_, results_;

@@ -19,7 +19,7 @@
 // What bounds it: instructions of `impacts`, and random sectors from L2 in `count` and `place`. Of the
 // paper's public input 9.1 M pairs of boxes overlap, 6.1 M of them of edges with a vertex in common. The
 // diagonal leaves 0.6 M of the other 3.0 M, the coarse scale of the tile makes that 0.7 M; 0.39 M have an
-// event (counted on the host). references/collision_query/NOTES.md has the predictions stage by stage and
+// event (counted on the host). docs/lab/collision_query.md has the predictions stage by stage and
 // what was measured.
 #include <algorithm>
 #include <cstddef>

@@ -16,15 +16,21 @@
 #include <cstddef>
 
 #include "core/contract/module.hpp"
+#include "references/common/machine.cuh"
 
 namespace gpuphys {
 
+// Before compute capability 9.0 kernels run one after the other, as always.
 __device__ __forceinline__ void allow_next() {
+#if __CUDA_ARCH__ >= 900 || defined(GPUPHYS_EMULATED)
   asm volatile("griddepcontrol.launch_dependents;");
+#endif
 }
 
 __device__ __forceinline__ void wait_for_previous() {
+#if __CUDA_ARCH__ >= 900 || defined(GPUPHYS_EMULATED)
   asm volatile("griddepcontrol.wait;" ::: "memory");
+#endif
 }
 
 /// kernel<<<blocks, threads, shared_bytes>>>(arguments...) on the default stream, behind a kernel of the same
@@ -40,7 +46,8 @@ void launch_dependent(void (*kernel)(Parameters...), unsigned blocks, unsigned t
   config.blockDim = dim3(threads);
   config.dynamicSmemBytes = shared_bytes;
   config.attrs = &attribute;
-  config.numAttrs = 1;
+  static const bool overlaps = device_attribute(cudaDevAttrComputeCapabilityMajor) >= 9;
+  config.numAttrs = overlaps ? 1 : 0;
   GPUPHYS_CUDA(cudaLaunchKernelEx(&config, kernel, static_cast<Parameters>(arguments)...));
 }
 

@@ -42,7 +42,8 @@ __device__ __forceinline__ void transpose_rows(float* __restrict__ stage, float 
   for (int s = 0; s < Width; ++s) values[s] = stage[lane * Width + s];
 }
 
-/// Writes the lanes' own rows, of the rows first .. first+31 of n, in whole lines. `stage` is free from the next
+/// Writes the lanes' own rows, of the rows first .. first+31 of n, in whole lines. `stage` is free from the
+/// next
 /// __syncwarp() on.
 template <int Width>
 __device__ __forceinline__ void store_rows(float* __restrict__ rows, std::int64_t first, std::int64_t n,

@@ -18,7 +18,7 @@
 // What bounds it: the way up, loads (measured without any arithmetic it is as fast); the way down, which has
 // a wider halo and one more stage, shared-memory loads and latency within a step. Six arrays are read and one
 // is written per pass, where separate launches would move three times that. The halo is recomputed and costs
-// L2 rather than DRAM traffic. NOTES.md has the numbers.
+// L2 rather than DRAM traffic. docs/lab/global_solve.md has the numbers.
 #pragma once
 
 #include <cuda.h>

@@ -9,8 +9,8 @@
 // down under-relaxes the cells that it comes to last, which leaves a smaller residual for a larger error.
 //
 // Bound by the passes over the fine grid, which visit only the planes of their tiles with active cells: of
-// 256^3 cells, half of them active, 65 % of the planes on the way down and 66 % on the way up. NOTES.md has
-// what was measured.
+// 256^3 cells, half of them active, 65 % of the planes on the way down and 66 % on the way up.
+// docs/lab/global_solve.md has what was measured.
 #include <cstdint>
 
 #include "cases/global_solve/poisson_dirichlet.hpp"
@@ -20,8 +20,8 @@
 namespace gpuphys::poisson_dirichlet {
 namespace {
 
-/// Chosen with a CPU emulation of the cycle in FP32, the schedule at 128^3 (NOTES.md). Where it is not
-/// enough, what follows converges by itself.
+/// Chosen with a CPU emulation of the cycle in FP32, the schedule at 128^3 (docs/lab/global_solve.md). Where
+/// it is not enough, what follows converges by itself.
 constexpr multigrid::Tuning kTuning{
     .omega_down = {1.3f, 1.15f},
     .omega_up = {1.15f, 1.25f},

@@ -15,7 +15,7 @@
 // costs four row pointers. Tried and dropped: a branch to an unclamped path for points clear of the walls
 // (0.76 ms; the lanes near z walls drag a quarter of all warps through both), 16 x 2 lanes a warp (0.66),
 // three blocks an SM instead of four (0.60), one component a launch (0.77), samples from shared memory
-// (NOTES.md).
+// (docs/lab/grid_lattice.md).
 #include "cases/grid_lattice/advect_rk2.hpp"
 #include "references/grid_lattice/mac_advection.cuh"
 

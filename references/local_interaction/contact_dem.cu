@@ -10,10 +10,10 @@
 // the rounding of each sum.
 //
 // What bounds it: the sort, L2 and waits for memory (300 MB in and out by ncu, most of it records, at half
-// the rate of a copy: NOTES.md); the search, instructions (64 % of the issue slots) and L1 (77 %: of
-// its 25 million wavefronts a third each for codes and for what the force gathers). A grain meets 8.2 columns
-// of cells and 37 candidates (cells of 1.2 x 1.2 x 0.6 against a reach of 1.15), of which 4.7 touch. What
-// pays:
+// the rate of a copy: docs/lab/local_interaction.md); the search, instructions (64 % of the issue slots) and
+// L1 (77 %: of its 25 million wavefronts a third each for codes and for what the force gathers). A grain
+// meets 8.2 columns of cells and 37 candidates (cells of 1.2 x 1.2 x 0.6 against a reach of 1.15), of
+// which 4.7 touch. What pays:
 // - Sorting in two levels: most atomics stay in shared memory, and records leave as whole sectors, close to
 //   others of their bin.
 // - Inputs are read by 16 bytes, whole lines a warp, and wait in shared memory for their turn.

@@ -8,6 +8,8 @@
 // Where G is not small, that would lose what the plain formulas keep (det F near zero), and they take over.
 #pragma once
 
+#include <cmath>
+
 namespace gpuphys::elastic {
 
 /// Rows m[i]; edges of a tetrahedron are columns.
@@ -99,6 +101,33 @@ __device__ __forceinline__ Matrix3 stress(const Matrix3& edges, const Matrix3& r
   const Matrix3 g = over(moved, rest_cofactors, rest_determinant);
   if (largest_entry(g) <= near) return stress_near_rest(g, mu, lambda);
   return stress_far_from_rest(over(edges, rest_cofactors, rest_determinant), mu, lambda);
+}
+
+/// Energy density; infinite where det F <= 0. Near rest, mu (tr G + |G|^2 / 2 - ln J) keeps what the plain
+/// formula loses.
+__device__ __forceinline__ float energy(const Matrix3& edges, const Matrix3& rest,
+                                        const Matrix3& rest_cofactors, float rest_determinant, float mu,
+                                        float lambda) {
+  constexpr float near = 0.25f;
+  Matrix3 moved;
+#pragma unroll
+  for (int i = 0; i < 9; ++i) moved.m[i / 3][i % 3] = edges.m[i / 3][i % 3] - rest.m[i / 3][i % 3];
+  const Matrix3 g = over(moved, rest_cofactors, rest_determinant), c = cofactors(g);
+  float square = 0.0f;
+  if (largest_entry(g) <= near) {
+    const float trace = g.m[0][0] + g.m[1][1] + g.m[2][2];
+    const float log_j = log1pf(trace + (c.m[0][0] + c.m[1][1] + c.m[2][2] + determinant(g, c)));
+#pragma unroll
+    for (int i = 0; i < 9; ++i) square += g.m[i / 3][i % 3] * g.m[i / 3][i % 3];
+    return mu * (0.5f * square + (trace - log_j)) + 0.5f * lambda * log_j * log_j;
+  }
+  const Matrix3 f = over(edges, rest_cofactors, rest_determinant);
+  const float j = determinant(f, cofactors(f));
+  if (!(j > 0.0f)) return INFINITY;
+  const float log_j = logf(j);
+#pragma unroll
+  for (int i = 0; i < 9; ++i) square += f.m[i / 3][i % 3] * f.m[i / 3][i % 3];
+  return mu * (0.5f * (square - 3.0f) - log_j) + 0.5f * lambda * log_j * log_j;
 }
 
 }  // namespace gpuphys::elastic

@@ -1,19 +1,21 @@
 // g2p_mpm: velocities of the nodes to particles, quadratic B-splines, FP32.
 //
-// For every particle: v = sum w u, F' = (I + dt sum u (x) grad w) F, x' = x + dt v, the nodes' indices clamped to the
-// array.
+// For every particle: v = sum w u, F' = (I + dt sum u (x) grad w) F, x' = x + dt v, the nodes' indices
+// clamped to the array.
 //
 // Passes over data in random order (references/blocks/tile_gather.cuh):
-//   mark, count, plan, assign, place   a slot for each particle in its tile's list, its place in its cell there
-//   gather   a block for a piece of a list, the tile's nodes in shared memory: v and dv per cell, 12 numbers, to the slot
-//   finish   a thread a particle in the order of the input: fetches the 12 numbers, updates F and x
+//   mark, count, plan, assign, place   a slot for each particle in its tile's list, its place in its cell
+//   there gather   a block for a piece of a list, the tile's nodes in shared memory: v and dv per cell, 12
+//   numbers, to the slot finish   a thread a particle in the order of the input: fetches the 12 numbers,
+//   updates F and x
 //
-// What bounds it (16.86M particles): DRAM. count and assign 0.4 GB, place 0.54 GB, gather 1.6 GB, finish 3.0 GB, a third of
-// that read at random places, 64 bytes each. In gather instructions (some 450 a particle) come next.
+// What bounds it (16.86M particles): DRAM. count and assign 0.4 GB, place 0.54 GB, gather 1.6 GB, finish 3.0
+// GB, a third of that read at random places, 64 bytes each. In gather instructions (some 450 a particle) come
+// next.
 //
-// What pays: no gather from L2 (576 bytes a particle, more than all the above). F takes no part in the sort: 36 bytes would
-// go out and come in again. A result is padded to two whole sectors, read by four lanes at once. Differences from the
-// middle node, formed first, lose nothing of a small gradient on a large velocity.
+// What pays: no gather from L2 (576 bytes a particle, more than all the above). F takes no part in the sort:
+// 36 bytes would go out and come in again. A result is padded to two whole sectors, read by four lanes at
+// once. Differences from the middle node, formed first, lose nothing of a small gradient on a large velocity.
 #include "cases/particle_grid/g2p_mpm.hpp"
 #include "references/common/alignment.hpp"
 #include "references/common/warp_rows.cuh"
@@ -33,7 +35,7 @@ struct Policy : node_gather::Policy {
 
 /// {v 3, dv per cell 9}
 struct VelocityAndGradient {
-  static constexpr int quads = 3, stride = 4;
+  static constexpr int quads = 3, stride = Policy::result_stride;
 
   static __device__ __forceinline__ void evaluate(const node_gather::Tile& tile, const tiles::Placed& placed,
                                                   float (&result)[4 * quads]) {
@@ -100,12 +102,12 @@ class Reference {
     const std::int64_t n = in.x.shape[0];
     gather_.compute(node_gather::grid_of(in), in.x.data, n, node_gather::samples_of(in));
     const Particles particles{in.x.data, in.F.data, out.v.data, out.F_new.data, out.x_new.data, n};
-    finish<<<Gather::blocks(n, Policy::finish_threads), Policy::finish_threads>>>(particles, in.dt, in.dx,
-                                                                                 gather_.slots(), gather_.results());
+    finish<<<Gather::blocks(n, Policy::finish_threads), Policy::finish_threads>>>(
+        particles, in.dt, in.dx, gather_.slots(), gather_.results());
   }
 
  private:
-  using Gather = tiles::TileGather<Policy, VelocityAndGradient, node_gather::Tiling, node_gather::kComponents>;
+  using Gather = tiles::TileGather<Policy, VelocityAndGradient, node_gather::Tiling, node_gather::Source>;
   Gather gather_;
 };
 

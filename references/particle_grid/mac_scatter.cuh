@@ -360,29 +360,39 @@ __global__ void __launch_bounds__(kThreads, BlocksPerSm)
   }
 }
 
-/// A block for a row of faces along z.
+/// A block for the faces of a component (blockIdx.y) that share x and a row of node blocks along z; a thread
+/// for the four of them that share z too.
 template <int Order, int Threads>
 __global__ void __launch_bounds__(Threads)
     normalise(const __grid_constant__ tiles::TileGrid grid, const unsigned char* __restrict__ touched,
-              const float2* __restrict__ accumulators, const __grid_constant__ Faces faces, int c) {
+              const float2* __restrict__ accumulators, const __grid_constant__ Faces faces) {
   using T = Tiling<Order>;
-  const int i = static_cast<int>(blockIdx.x) / faces.extent[c][1],
-            j = static_cast<int>(blockIdx.x) - i * faces.extent[c][1];
+  const int c = static_cast<int>(blockIdx.y);
+  const int i = static_cast<int>(blockIdx.x) / grid.tiles[1],
+            block_y = static_cast<int>(blockIdx.x) - i * grid.tiles[1];
+  const int* const extent = faces.extent[c];
+  if (i >= extent[0]) return;
   // From the first node block's first face.
-  const int x = i - T::first(0) - T::lowest, y = j - T::first(1) - T::lowest;
-  const int row = grid.tile(x / kSideX, y / kSideY, 0);
-  const int local = c * kCells + (x % kSideX * kSideY + y % kSideY) * kSideZ;
-  float* out = faces.u[c] + static_cast<std::int64_t>(blockIdx.x) * faces.extent[c][2];
-  for (int k = static_cast<int>(threadIdx.x); k < faces.extent[c][2]; k += Threads) {
+  const int x = i - T::first(0) - T::lowest;
+  const int first_j = block_y * kSideY + T::first(1) + T::lowest;
+  const int row = grid.tile(x / kSideX, block_y, 0);
+  for (int k = static_cast<int>(threadIdx.x); k < extent[2]; k += Threads) {
     const int z = k - T::first(2) - T::lowest;
     const int block = row + z / kSideZ;
-    float u = 0.0f;
+    float2 sums[kSideY] = {};
     if (touched[block] != 0) {
-      const float2 sum = accumulators[static_cast<std::size_t>(block) * kBlockSums +
-                                      static_cast<std::size_t>(local + z % kSideZ)];
-      if (sum.x > 0.0f) u = sum.y / sum.x;
+      const float2* faces_of_block = accumulators + static_cast<std::size_t>(block) * kBlockSums +
+                                     (c * kCells + x % kSideX * kSideY * kSideZ + z % kSideZ);
+#pragma unroll
+      for (int y = 0; y < kSideY; ++y) sums[y] = __ldcs(faces_of_block + y * kSideZ);
     }
-    __stcs(out + k, u);
+#pragma unroll
+    for (int y = 0; y < kSideY; ++y) {
+      const int j = first_j + y;
+      if (j < 0 || j >= extent[1]) continue;
+      __stcs(faces.u[c] + (static_cast<std::int64_t>(i) * extent[1] + j) * extent[2] + k,
+             sums[y].x > 0.0f ? sums[y].y / sums[y].x : 0.0f);
+    }
   }
 }
 
@@ -427,10 +437,8 @@ class Transfer {
     auto* sums = reinterpret_cast<float2*>(accumulators_.get());
     sum<<<static_cast<unsigned>(scatter_blocks_), kThreads, kSharedBytes>>>(
         grid, bins.items, bins.cursors + 1, records_.get(), sums);
-    for (int c = 0; c < kComponents; ++c) {
-      const auto rows = static_cast<unsigned>(faces.extent[c][0]) * static_cast<unsigned>(faces.extent[c][1]);
-      divide<<<rows, Policy::normalise_threads>>>(grid, bins.touched, sums, faces, c);
-    }
+    const dim3 rows(static_cast<unsigned>(grid.nodes[0]) * static_cast<unsigned>(grid.tiles[1]), kComponents);
+    divide<<<rows, Policy::normalise_threads>>>(grid, bins.touched, sums, faces);
   }
 
   static unsigned blocks(std::int64_t items, int per_block) {

@@ -1,5 +1,5 @@
-// From the nodes of a collocated grid to particles by quadratic B-splines: what g2p_mpm and velocity_gradient_mpm share.
-// FP32. (references/blocks/tile_gather.cuh has the passes.)
+// From the nodes of a collocated grid to particles by quadratic B-splines: what g2p_mpm and
+// velocity_gradient_mpm share. FP32. (references/blocks/tile_gather.cuh has the passes.)
 #pragma once
 
 #include "references/blocks/tile_gather.cuh"
@@ -12,6 +12,7 @@ constexpr int kComponents = 3;
 /// 1,024 particles a tile where there are eight a cell.
 using Tiling = tiles::Tiling<4, 4, 8, 2, false, true>;
 using Tile = tiles::Tile<Tiling, kComponents>;
+using Source = tiles::Samples<kComponents>;
 
 struct Policy {
   static constexpr int mark_threads = 256;
@@ -23,6 +24,7 @@ struct Policy {
   static constexpr int place_threads = 128;
   static constexpr int gather_threads = 128;
   static constexpr int piece = 320;
+  static constexpr int result_stride = 3;
   static constexpr int gather_blocks_per_sm = 6;
 #else
   static constexpr int plan_threads = 256;
@@ -32,6 +34,7 @@ struct Policy {
   static constexpr int gather_threads = 256;
   static constexpr int piece = 512;  // half a full tile: 38 KB of shared memory a block
   static constexpr int gather_blocks_per_sm = 4;
+  static constexpr int result_stride = 4;  // float4: three, padded to two whole sectors
 #endif
 };
 
@@ -46,6 +49,7 @@ struct Local {
   float per_cell[3][3];  ///< [component][axis]
 };
 
+template <class Tile>
 __device__ __forceinline__ Local at_particle(const Tile& tile, const tiles::Placed& placed) {
   const tiles::Along3 x = along(placed.place[0]), y = along(placed.place[1]), z = along(placed.place[2]);
   const int lowest = Tile::lowest_of(placed.cell);
@@ -62,8 +66,8 @@ __device__ __forceinline__ Local at_particle(const Tile& tile, const tiles::Plac
 
 /// Of inputs with node arrays ux, uy, uz.
 template <class Inputs>
-tiles::Samples<kComponents> samples_of(const Inputs& in) {
-  tiles::Samples<kComponents> s{{in.ux.data, in.uy.data, in.uz.data}, {}};
+Source samples_of(const Inputs& in) {
+  Source s{{in.ux.data, in.uy.data, in.uz.data}, {}};
   for (auto& extent : s.extent) {
     for (int d = 0; d < 3; ++d) extent[d] = static_cast<int>(in.ux.shape[d]);
   }

@@ -1,10 +1,11 @@
-// What a particle of a material point method does with the velocity and the velocity gradient at its place, FP32.
+// What a particle of a material point method does with the velocity and the velocity gradient at its place,
+// FP32.
 #pragma once
 
 namespace gpuphys::particle_grid {
 
-/// F' = (I + dt G) F, as F + (dt G) F: a small step does not pass through I. `step` = dt G, row by row: dt dv_a/dx_b
-/// at step[a][b].
+/// F' = (I + dt G) F, as F + (dt G) F: a small step does not pass through I. `step` = dt G, row by row: dt
+/// dv_a/dx_b at step[a][b].
 __device__ __forceinline__ void deform(const float (&step)[3][3], const float (&f)[9], float (&f_new)[9]) {
 #pragma unroll
   for (int a = 0; a < 3; ++a) {

@@ -3,15 +3,16 @@
 // For every particle: G = sum u (x) grad w, the nodes' indices clamped to the array.
 //
 // Passes over data in random order (references/blocks/tile_gather.cuh):
-//   mark, count, plan, assign, place   a slot for each particle in its tile's list, its place in its cell there
-//   gather   a block for a piece of a list, the tile's nodes in shared memory: dv per metre, 9 numbers, to the slot
-//   finish   a thread a particle in the order of the input: fetches the 9 numbers and writes them in whole lines
+//   mark, count, plan, assign, place   a slot for each particle in its tile's list, its place in its cell
+//   there gather   a block for a piece of a list, the tile's nodes in shared memory: dv per metre, 9 numbers,
+//   to the slot finish   a thread a particle in the order of the input: fetches the 9 numbers and writes them
+//   in whole lines
 //
-// What bounds it (16.78M particles): DRAM. count and assign 0.4 GB, place 0.54 GB, gather 1.4 GB, finish 1.75 GB, two thirds of
-// that read at random places, 64 bytes each.
+// What bounds it (16.78M particles): DRAM. count and assign 0.4 GB, place 0.54 GB, gather 1.4 GB, finish 1.75
+// GB, two thirds of that read at random places, 64 bytes each.
 //
-// What pays: results go through their slots and not straight to their particles: rows of 36 bytes at random places are two
-// or three sectors each, written in part, and DRAM would have to read what is around them.
+// What pays: results go through their slots and not straight to their particles: rows of 36 bytes at random
+// places are two or three sectors each, written in part, and DRAM would have to read what is around them.
 #include "cases/particle_grid/velocity_gradient_mpm.hpp"
 #include "references/common/alignment.hpp"
 #include "references/common/warp_rows.cuh"
@@ -30,7 +31,7 @@ struct Policy : node_gather::Policy {
 
 /// {dv per cell 9, padding 3}
 struct Gradient {
-  static constexpr int quads = 3, stride = 4;
+  static constexpr int quads = 3, stride = Policy::result_stride;
 
   static __device__ __forceinline__ void evaluate(const node_gather::Tile& tile, const tiles::Placed& placed,
                                                   float (&result)[4 * quads]) {
@@ -68,12 +69,12 @@ class Reference {
     require_aligned("velocity_gradient_mpm", "x", in.x.data);  // counted by 16 bytes
     const std::int64_t n = in.x.shape[0];
     gather_.compute(node_gather::grid_of(in), in.x.data, n, node_gather::samples_of(in));
-    finish<<<Gather::blocks(n, Policy::finish_threads), Policy::finish_threads>>>(out.G.data, n, in.dx, gather_.slots(),
-                                                                                 gather_.results());
+    finish<<<Gather::blocks(n, Policy::finish_threads), Policy::finish_threads>>>(
+        out.G.data, n, in.dx, gather_.slots(), gather_.results());
   }
 
  private:
-  using Gather = tiles::TileGather<Policy, Gradient, node_gather::Tiling, node_gather::kComponents>;
+  using Gather = tiles::TileGather<Policy, Gradient, node_gather::Tiling, node_gather::Source>;
   Gather gather_;
 };
 

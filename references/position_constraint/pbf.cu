@@ -2,7 +2,7 @@
 //
 //   predict     x + dt (v + dt g), for the box of the grid
 //   sort        by the cells of the predicted positions: x with its displacement dt (v + dt g)
-//   solve       iterations on the displacement s: find_lambda(), move()
+//   solve       iterations on the displacement s: find_lambda(), move(), sort again
 //   confine     find_vorticity() and confine() of the velocities s / dt
 //   even_out    viscosity; writes velocities, and x + s, in the order of the input
 //

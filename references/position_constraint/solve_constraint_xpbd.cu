@@ -16,13 +16,13 @@
 // 2 + 4 + 4 bytes a half-spring and 32 + 16 bytes a particle of device memory, and 43 MB of halos out of
 // the L2, whose rate is the nearest limit (71 %); but a third of a block's time is the wait for the
 // particles, a fifth that for the rows, and more loads under way together, more warps with fewer registers,
-// or the next tile fetched during this one were slower: NOTES.md has what was measured. Sorting moves 360 MB
-// and gathers 12.56 million numbers out of the L2 (0.1 ms). What pays: halos, so that no half-spring looks
-// beyond shared memory and 16 bits name its other end; other ends of 16 bytes, read at random; positions and
-// displacements in arrays of their own, of which only the second is written; one number of state, the rest
-// length shifted by the multiplier; rows interleaved so that a warp reads 32 neighbours; a sort that writes
-// each chunk as it is and lets the tile collect its runs (one pass over the springs, no scan); whole sectors
-// stored.
+// or the next tile fetched during this one were slower: docs/lab/position_constraint.md has what was
+// measured. Sorting moves 360 MB and gathers 12.56 million numbers out of the L2 (0.1 ms). What pays: halos,
+// so that no half-spring looks beyond shared memory and 16 bits name its other end; other ends of 16 bytes,
+// read at random; positions and displacements in arrays of their own, of which only the second is written;
+// one number of state, the rest length shifted by the multiplier; rows interleaved so that a warp reads 32
+// neighbours; a sort that writes each chunk as it is and lets the tile collect its runs (one pass over the
+// springs, no scan); whole sectors stored.
 #include "cases/position_constraint/solve_constraint_xpbd.hpp"
 
 #include <climits>

@@ -1,5 +1,5 @@
-// Serial baseline of g2p_mpm, written from cases/particle_grid/g2p_mpm.md alone: one particle after the other.
-// Built as FP64 truth and as FP32 variants (Real).
+// Serial baseline of g2p_mpm, written from cases/particle_grid/g2p_mpm.md alone: one particle after the
+// other. Built as FP64 truth and as FP32 variants (Real).
 #include "cases/particle_grid/g2p_mpm.hpp"
 
 #include <array>

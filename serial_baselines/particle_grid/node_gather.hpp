@@ -1,5 +1,5 @@
-// Velocity and velocity gradient at a particle from the nodes of a collocated grid, for the serial baselines, from
-// cases/particle_grid/node_gather.md alone.
+// Velocity and velocity gradient at a particle from the nodes of a collocated grid, for the serial baselines,
+// from cases/particle_grid/node_gather.md alone.
 #pragma once
 
 #include <array>
@@ -40,14 +40,33 @@ struct ClampedSpline {
   }
 };
 
+/// The same without clamping, for transfers to the nodes: nodes first, first + 1, first + 2, in the array or
+/// not.
 template <class Real>
-struct Gathered {
-  std::array<Real, 3> v{};                     ///< sum w u
-  std::array<std::array<Real, 3>, 3> g{};  ///< sum u_a dw/dx_b
+struct UnclampedSpline {
+  std::int64_t first = 0;
+  std::array<Real, 3> weight{};
+  std::array<Real, 3> slope{};  ///< dw/dx, per metre
+
+  UnclampedSpline() = default;
+  UnclampedSpline(Real x, Real dx) {
+    const Real lowest = std::floor(x / dx - Real(0.5));
+    first = static_cast<std::int64_t>(lowest);
+    const Real t = std::fma(-(lowest + 1), dx, x) / dx;
+    const Real low = Real(0.5) - t, high = Real(0.5) + t;
+    weight = {Real(0.5) * low * low, Real(0.75) - t * t, Real(0.5) * high * high};
+    slope = {-low / dx, -2 * t / dx, high / dx};
+  }
 };
 
 template <class Real>
-Gathered<Real> gather_from_nodes(const std::array<View<const float, 3>, 3>& u, const std::array<Real, 3>& x,
+struct Gathered {
+  std::array<Real, 3> v{};                 ///< sum w u
+  std::array<std::array<Real, 3>, 3> g{};  ///< sum u_a dw/dx_b
+};
+
+template <class Real, class Sample = float>
+Gathered<Real> gather_from_nodes(const std::array<View<const Sample, 3>, 3>& u, const std::array<Real, 3>& x,
                                  Real dx) {
   const ClampedSpline<Real> along_x(x[0], dx, u[0].shape[0]), along_y(x[1], dx, u[0].shape[1]),
       along_z(x[2], dx, u[0].shape[2]);

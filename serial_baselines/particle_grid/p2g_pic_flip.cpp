@@ -6,8 +6,8 @@
 #include <array>
 #include <vector>
 
-#include "core/contract/module.hpp"
 #include "core/base/parallel.hpp"
+#include "core/contract/module.hpp"
 #include "serial_baselines/particle_grid/mac_samples.hpp"
 
 namespace gpuphys::p2g_pic_flip {

@@ -1,5 +1,5 @@
-// Serial baseline of velocity_gradient_mpm, written from cases/particle_grid/velocity_gradient_mpm.md alone: one
-// particle after the other. Built as FP64 truth and as FP32 variants (Real).
+// Serial baseline of velocity_gradient_mpm, written from cases/particle_grid/velocity_gradient_mpm.md alone:
+// one particle after the other. Built as FP64 truth and as FP32 variants (Real).
 #include "cases/particle_grid/velocity_gradient_mpm.hpp"
 
 #include <array>

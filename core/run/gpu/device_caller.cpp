@@ -183,7 +183,7 @@ class DeviceCaller final : public Caller {
     inspect_buffers(outcome, buffers, problem);
     for (std::size_t i = 0; i < problem.outputs.size(); ++i) {
       const CallArray& a = problem.outputs[i];
-      if (a.bytes == 0) continue;
+      if (a.bytes == 0 || problem.discard) continue;
       GPUPHYS_CUDA_CALL(cudaMemcpy(a.data, buffers.snapshots[i].data(), a.bytes, cudaMemcpyDeviceToHost));
     }
     release(outcome, table, state);
