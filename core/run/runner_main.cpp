@@ -409,7 +409,8 @@ Options parse(int argc, char** argv) {
 }  // namespace gpuphys
 
 #ifdef __SANITIZE_ADDRESS__
-// The check at exit wants to trace its own process, which a confined one cannot; and modules end as they please.
+// The check at exit wants to trace its own process, which a confined one cannot; and modules end as they
+// please.
 extern "C" int __lsan_is_turned_off() {
   return 1;
 }
