@@ -75,8 +75,8 @@ class HostMultigrid {
   HostMultigrid(HostLevel fine, bool singular, const Tuning& tuning) : tuning_(tuning) {
     levels_.push_back(std::move(fine));
     do {
-      levels_.push_back(levels_.back().coarser(
-          multigrid::coarsening_to(static_cast<int>(levels_.size()), singular, tuning.first_coupling)));
+      levels_.push_back(levels_.back().coarser(multigrid::coarsening_to(
+          static_cast<int>(levels_.size()), singular, tuning.first_coupling, tuning.held_share)));
     } while (levels_.back().view.nx * levels_.back().view.ny * levels_.back().view.nz > 1);
   }
 

@@ -7,7 +7,8 @@
 
 namespace mutation {
 
-/// The value with the 10 bits after the point that half precision keeps. What is not floating does not compile.
+/// The value with the 10 bits after the point that half precision keeps. What is not floating does not
+/// compile.
 inline float narrow(float v) {
   if (!std::isfinite(v)) return v;
   return std::bit_cast<float>((std::bit_cast<std::uint32_t>(v) + 0x1000u) & ~0x1fffu);

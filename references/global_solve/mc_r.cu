@@ -27,7 +27,7 @@ class Reference {
     for (mac::FaceBuffers* b : {&middle_, &reflected_}) b->allocate(in.ux, in.uy, in.uz);
     advection_.allocate(in.ux, in.uy, in.uz);
     buffers_.allocate(g);
-    pressure_.allocate(g.n[0], g.n[1], g.n[2], /*singular=*/true, {.leave_out_empty_planes = false});
+    pressure_.allocate(g.n[0], g.n[1], g.n[2], /*singular=*/true, mac_systems::kPressureTuning);
   }
 
   void compute(const Inputs& in, const Outputs<float>& out) {

@@ -32,7 +32,8 @@ struct Matrix {
 /// for the previous one. Bit `kHeld`: what lies beyond its other faces is held at zero rather than closed.
 using Gates = std::uint8_t;
 constexpr Gates kHeld = 64;
-/// Share of the diagonal from which on a cell counts as held: less is next to closed.
+/// Share of the diagonal from which on a cell counts as held: less is next to closed. (Where there is a mass
+/// term, which is no holding, more has to be asked for.)
 constexpr float kHeldShare = 0.02f;
 
 struct MutableMatrix {
@@ -47,14 +48,16 @@ struct Coarsening {
   float coupling;  ///< times the sum of the fine couplings: one over the growth of the distance of centres
   float thin;      ///< the same next to a last layer without a partner, whose centre stays where it is
   float held;  ///< times what holds a boundary cell at zero: the same for the distance to where it is zero
+  float held_share = kHeldShare;  ///< see there
 };
 
 /// Coarsening to level `l` >= 1. Zero is one cell width from the centre of a boundary cell of level 0, and
 /// half a (coarse) cell farther out each time.
-inline Coarsening coarsening_to(int l, bool rows_sum_to_zero, float first_coupling) {
+inline Coarsening coarsening_to(int l, bool rows_sum_to_zero, float first_coupling,
+                                float held_share = kHeldShare) {
   const auto distance = [](int level) { return 0.5f * static_cast<float>(1 << level) + 0.5f; };
   const float coupling = l == 1 ? first_coupling : 0.5f, held = distance(l - 1) / distance(l);
-  return {rows_sum_to_zero, coupling, rows_sum_to_zero ? coupling : 2 * coupling * held, held};
+  return {rows_sum_to_zero, coupling, rows_sum_to_zero ? coupling : 2 * coupling * held, held, held_share};
 }
 
 /// A product that is not contracted into a sum: what is added is what is stored.
@@ -155,7 +158,7 @@ __host__ __device__ __forceinline__ CoarseCell coarse_cell(const Matrix& fine, i
   // Rounded once: where layers hang together by next to nothing, further errors would outweigh what does.
   coarse.diag =
       exact_sum(excess, {-face[0][0], -face[1][0], -face[2][0]}, {-face[0][2], -face[1][2], -face[2][2]});
-  if (excess > kHeldShare * coarse.diag) coarse.gates |= kHeld;
+  if (excess > rule.held_share * coarse.diag) coarse.gates |= kHeld;
   coarse.ax = face[0][2], coarse.ay = face[1][2], coarse.az = face[2][2];
   return coarse;
 }

@@ -53,6 +53,9 @@ struct Tuning {
   /// where they vary from face to face with mean m and variance v, what conducts at length is m (1 - v / (3
   /// m^2)).
   float first_coupling = 0.5f;
+  /// Share of a coarse diagonal beyond its couplings from which on its cell counts as held at zero: above
+  /// that of a mass term, below that of a face held at zero.
+  float held_share = kHeldShare;
   /// Passes over the fine grid leave out planes of tiles without an active cell. The host plans that while
   /// the device coarsens, which costs 0.1 ms and more: not worth it where nearly all planes hold one.
   bool leave_out_empty_planes = true;
@@ -254,7 +257,7 @@ class TiledSolver {
                            PiecePolicy::granule_columns, tiles_z_, fine.nx};
       coarsen<<<static_cast<unsigned>((c.view.size() + 127) / 128), 128>>>(
           levels_[l - 1].view, c.view, to,
-          coarsening_to(static_cast<int>(l), singular_, tuning_.first_coupling), live);
+          coarsening_to(static_cast<int>(l), singular_, tuning_.first_coupling, tuning_.held_share), live);
     }
     if (!tuning_.leave_out_empty_planes) return;
     // The host plans the passes while the device coarsens.

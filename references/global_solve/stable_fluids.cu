@@ -26,8 +26,8 @@ class Reference {
     const mac_systems::Grid g = mac_systems::make_grid(in.ux, in.uy);
     advected_.allocate(in.ux, in.uy, in.uz);
     buffers_.allocate(g);
-    viscosity_.allocate(g.n[0], g.n[1], g.n[2], /*singular=*/false, {.leave_out_empty_planes = false});
-    pressure_.allocate(g.n[0], g.n[1], g.n[2], /*singular=*/true, {.leave_out_empty_planes = false});
+    viscosity_.allocate(g.n[0], g.n[1], g.n[2], /*singular=*/false, mac_systems::kViscosityTuning);
+    pressure_.allocate(g.n[0], g.n[1], g.n[2], /*singular=*/true, mac_systems::kPressureTuning);
   }
 
   void compute(const Inputs& in, const Outputs<float>& out) {

@@ -23,7 +23,7 @@ class Reference {
   void allocate(const Inputs& in, const Outputs<float>&) {
     const mac_systems::Grid g = mac_systems::make_grid(in.ux, in.uy);
     buffers_.allocate(g);
-    solver_.allocate(g.n[0], g.n[1], g.n[2], /*singular=*/false, {.leave_out_empty_planes = false});
+    solver_.allocate(g.n[0], g.n[1], g.n[2], /*singular=*/false, mac_systems::kViscosityTuning);
   }
 
   void compute(const Inputs& in, const Outputs<float>& out) {
