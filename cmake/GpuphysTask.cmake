@@ -211,6 +211,7 @@ function(gpuphys_ptx_test task variant source)
       DEPENDS ${source} module_${task}_${build} COMMENT "PTX of ${task} ${build}" VERBATIM)
   endforeach()
   add_custom_target(ptx_${task}_${variant} ALL DEPENDS ${folder}/reference.ptx ${folder}/${variant}.ptx)
+  add_dependencies(task_${task} ptx_${task}_${variant})
   add_test(NAME ${task}.${variant}_differs
            COMMAND ${CMAKE_COMMAND} -DREFERENCE=${folder}/reference.ptx -DVARIANT=${folder}/${variant}.ptx
                    -P ${PROJECT_SOURCE_DIR}/cmake/CheckPtxDiffers.cmake)

@@ -10,6 +10,7 @@
 #include <string>
 #include <vector>
 
+#include "core/base/error.hpp"
 #include "core/generators/random.hpp"
 #include "core/run/gpu/ceilings.hpp"
 #include "references/blocks/fluid_search.cuh"

@@ -2,9 +2,14 @@
 // be wrong gives one clear error.
 #include "core/contract/hdf5_io.hpp"
 
+#include <fcntl.h>
 #include <gtest/gtest.h>
 #include <hdf5.h>
+#include <sys/file.h>
+#include <sys/mount.h>
 #include <sys/resource.h>
+#include <sys/stat.h>
+#include <unistd.h>
 
 #include <cmath>
 #include <csignal>
@@ -317,6 +322,46 @@ TEST_F(Hdf5, TruncatedAnywhere) {
     const std::string message = inputs_error();
     EXPECT_CONTAINS(message, "truncated") << "at " << size << " of " << whole.size();
   }
+}
+
+// A link may lead to anything, for instance to a pipe that nobody writes to.
+TEST_F(Hdf5, LinksAreNotFollowed) {
+  put_good_outputs();
+  const std::string name = outputs[0].name();
+  const std::string pipe = folder + "/pipe";
+  ASSERT_EQ(::mkfifo(pipe.c_str(), 0600), 0);
+  for (const bool external : {true, false}) {
+    const hid_t file = H5Fopen(path.c_str(), H5F_ACC_RDWR, H5P_DEFAULT);
+    H5Ldelete(file, name.c_str(), H5P_DEFAULT);
+    if (external)
+      H5Lcreate_external(pipe.c_str(), "/x", file, name.c_str(), H5P_DEFAULT, H5P_DEFAULT);
+    else
+      H5Lcreate_soft("/elsewhere", file, name.c_str(), H5P_DEFAULT, H5P_DEFAULT);
+    H5Fclose(file);
+    EXPECT_CONTAINS(error_of([&] { read_arrays(path, task, problem); }), "it is a link");
+  }
+}
+
+TEST_F(Hdf5, ALockedFileIsCalledLocked) {
+  put_good_outputs();
+  const int fd = ::open(path.c_str(), O_RDWR);
+  ASSERT_EQ(::flock(fd, LOCK_EX), 0);
+  EXPECT_CONTAINS(error_of([&] { read_arrays(path, task, problem); }), "locked by another program");
+  ::close(fd);
+}
+
+// Needs a file system of its own, and so root.
+TEST_F(Hdf5, AFullDiskIsOneLineAndNoFile) {
+  const std::string small = folder + "/small";
+  fs::create_directory(small);
+  if (::mount("tmpfs", small.c_str(), "tmpfs", 0, "size=200k") != 0)
+    GTEST_SKIP() << "cannot mount a small tmpfs";
+  problem = sample_problem(40);
+  path = small + "/x.h5";
+  const std::string full = error_of([&] { write_problem(path, task, "public", problem); });
+  EXPECT_CONTAINS(full, "disk full");
+  EXPECT_TRUE(fs::is_empty(small));
+  ::umount(small.c_str());
 }
 
 // Reading a file with one byte damaged either fails with one clear error or returns exactly what was written.

@@ -11,6 +11,7 @@
 #include <string>
 
 #include "cases/global_solve/poisson_inputs.hpp"
+#include "core/base/error.hpp"
 #include "core/generators/random.hpp"
 #include "core/run/gpu/ceilings.hpp"
 #include "tests/multigrid_host.hpp"

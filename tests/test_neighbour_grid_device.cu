@@ -12,6 +12,7 @@
 #include <string>
 #include <vector>
 
+#include "core/base/error.hpp"
 #include "core/generators/random.hpp"
 #include "core/run/gpu/ceilings.hpp"
 #include "references/blocks/neighbour_grid.cuh"

@@ -15,6 +15,7 @@
 #include "references/blocks/particle_tiles.cuh"
 #include "references/blocks/tile_sums.cuh"
 #ifndef GPUPHYS_EMULATED
+#include "core/base/error.hpp"
 #include "core/run/gpu/ceilings.hpp"
 #endif
 

@@ -109,6 +109,10 @@ InputSet hard(const std::string& stress, const std::string& about, std::function
       stress, about, [=] { return problem_of(make(), s); }, std::move(invariants));
 }
 
+SpringBody tiny_lattice() {
+  return elastic::spring_lattice({4, 5, 3}, 1, public_field());
+}
+
 SpringBody masses_over_three_decades() {
   SpringBody b = small_lattice(21);
   for (std::size_t i = 0; i < b.mass.size(); ++i) b.mass[i] = std::pow(10.0, 1.5 * uniform11(21, 50, i));
@@ -183,7 +187,7 @@ std::vector<InputSet> hard_sets() {
                   return problem_of(small_lattice(35), {2.5e4, 0.02, 0});
                 },
                 {elastic::velocity_kept_check(2e-6, "dt v / dt, rounded twice, of up to 11 m/s")}));
-  sets.push_back(hard("converged", "120 iterations", lattice(36), {2.5e4, 0.02, 120}));
+  sets.push_back(hard("converged", "120 iterations", tiny_lattice, {2.5e4, 0.02, 120}));
   sets.push_back(hard("masses", "masses over three decades", masses_over_three_decades));
   sets.push_back(
       hard("zero_rest", "rest lengths of zero: the problem is linear", zero_rest, {2.5e3, 0.02, 3}));

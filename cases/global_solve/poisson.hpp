@@ -18,13 +18,13 @@ struct Inputs {
 
   template <class V>
   void visit(V&& v) {
-    v.array("a_diag", a_diag, "nx,ny,nz", "1", Access::overwritable);
-    v.array("a_x", a_x, "nx,ny,nz", "1", Access::overwritable);
-    v.array("a_y", a_y, "nx,ny,nz", "1", Access::overwritable);
-    v.array("a_z", a_z, "nx,ny,nz", "1", Access::overwritable);
+    v.array("a_diag", a_diag, "nx,ny,nz", "1", Access::overwritable, between(0, 1e15));
+    v.array("a_x", a_x, "nx,ny,nz", "1", Access::overwritable, between(-1e15, 0));
+    v.array("a_y", a_y, "nx,ny,nz", "1", Access::overwritable, between(-1e15, 0));
+    v.array("a_z", a_z, "nx,ny,nz", "1", Access::overwritable, between(-1e15, 0));
     v.array("b", b, "nx,ny,nz", "1", Access::overwritable);
     v.array("is_dof", is_dof, "nx,ny,nz", "1", Access::overwritable);
-    v.scalar("tol", tol, "1");
+    v.scalar("tol", tol, "1", positive(1));
   }
 };
 

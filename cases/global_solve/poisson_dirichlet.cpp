@@ -121,10 +121,59 @@ Problem one_cell() {
   return p;
 }
 
+// One inner face in ten is closed, between active cells too.
+Problem closed_faces() {
+  const Extents n{13, 10, 17};
+  return with_rough_solution(n, 61, poisson::everywhere,
+                             [=](int axis, std::int64_t i, std::int64_t j, std::int64_t k) {
+                               const double u = poisson::face_uniform01(n, 61, axis, i, j, k);
+                               return u < 0.1 ? 0.0 : u;
+                             });
+}
+
+Problem with_tolerance(Problem p, double tol) {
+  p.set_scalar("tol", tol);
+  return p;
+}
+
+Problem no_active_cell() {
+  return poisson::system_without_source(
+      {6, 5, 7}, Boundary::dirichlet, [](auto...) { return false; }, poisson::unit_conductance);
+}
+
+// A solver that takes another tolerance than the problem's: tighter ones are held to, a looser one allows
+// more.
+std::vector<InputSet> other_tolerances() {
+  std::vector<InputSet> sets;
+  const Extents n{13, 17, 11};
+  const auto system = [n] {
+    return with_rough_solution(n, 62, poisson::everywhere,
+                               [=](int axis, std::int64_t i, std::int64_t j, std::int64_t k) {
+                                 return 0.25 + 0.75 * poisson::face_uniform01(n, 62, axis, i, j, k);
+                               });
+  };
+  for (const double tol : {5e-7, 3e-7}) {
+    InputSet s = poisson::finite_hard_case(fmt::format("tol_{:.0e}", tol), fmt::format("tol = {}", tol),
+                                           [=] { return with_tolerance(system(), tol); });
+    s.invariants.push_back(poisson::residual_over_bound_check(
+        "residual_tol", "tol", [tol](const Problem&) { return tol; },
+        "storing x in float32 leaves 1.6e-7 of b: the tolerance is within reach"));
+    sets.push_back(std::move(s));
+  }
+  InputSet s = poisson::finite_hard_case("tol_1e-04", "tol = 1e-4: a solver may stop early",
+                                         [=] { return with_tolerance(system(), 1e-4); });
+  s.use_task_checks = false;
+  s.invariants.push_back(poisson::residual_over_bound_check(
+      "residual_tol", "tol", [](const Problem&) { return 1e-4; }, "what the problem asks for"));
+  s.invariants.push_back(poisson::zero_outside_check());
+  sets.push_back(std::move(s));
+  return sets;
+}
+
 std::vector<InputSet> hard_sets() {
   using poisson::finite_hard_case;
   const Extents zero{21, 19, 14}, scaled{22, 22, 20};
-  return {
+  std::vector<InputSet> sets{
       finite_hard_case("contrast_1e6", "every face has its own conductance between 1e-6 and 1 (log-uniform)",
                        contrast),
       finite_hard_case("weakly_held_layers",
@@ -152,6 +201,16 @@ std::vector<InputSet> hard_sets() {
       finite_hard_case("huge_rhs", "b of size 1e20: its squares are above the range of FP32",
                        [=] { return wavy_half(scaled, 29, 0.1, 1, 1e20); }),
   };
+  sets.push_back(poisson::finite_hard_case("closed_faces", "one inner face in ten is closed", closed_faces));
+  sets.push_back(poisson::zero_hard_case("no_active_cell", "no cell is active: nothing to solve",
+                                         no_active_cell, "inactive cells are 0"));
+  for (const Extents n : {Extents{65537, 1, 2}, Extents{2, 65538, 1}, Extents{1, 2, 65539}}) {
+    sets.push_back(finite_hard_case(
+        fmt::format("long_{}x{}x{}", n[0], n[1], n[2]), "more cells along an axis than 16 bits count",
+        [n] { return with_rough_solution(n, 67, poisson::everywhere, random_conductance(n, 67, 0.2, 1)); }));
+  }
+  for (InputSet& s : other_tolerances()) sets.push_back(std::move(s));
+  return sets;
 }
 
 }  // namespace

@@ -208,6 +208,55 @@ InputSet with_residual_bound(InputSet s, Check residual) {
   return s;
 }
 
+// One inner face in ten is closed, between active cells too.
+Problem closed_faces() {
+  const Extents n{13, 10, 17};
+  return with_rough_solution(n, 51, poisson::everywhere,
+                             [=](int axis, std::int64_t i, std::int64_t j, std::int64_t k) {
+                               const double u = poisson::inner_face_uniform01(n, 51, axis, i, j, k);
+                               return u < 0.1 ? 0.0 : u;
+                             });
+}
+
+Problem with_tolerance(Problem p, double tol) {
+  p.set_scalar("tol", tol);
+  return p;
+}
+
+Problem no_active_cell() {
+  return poisson::system_without_source(
+      {6, 5, 7}, Boundary::neumann, [](auto...) { return false; }, poisson::unit_conductance);
+}
+
+// A solver that takes another tolerance than the problem's: tighter ones are held to, a looser one allows
+// more.
+std::vector<InputSet> other_tolerances() {
+  std::vector<InputSet> sets;
+  const Extents n{13, 17, 11};
+  const auto system = [n] {
+    return with_rough_solution(n, 52, poisson::everywhere,
+                               [=](int axis, std::int64_t i, std::int64_t j, std::int64_t k) {
+                                 return 0.25 + 0.75 * poisson::inner_face_uniform01(n, 52, axis, i, j, k);
+                               });
+  };
+  for (const double tol : {5e-7, 3e-7}) {
+    InputSet s = poisson::finite_hard_case(fmt::format("tol_{:.0e}", tol), fmt::format("tol = {}", tol),
+                                           [=] { return with_tolerance(system(), tol); });
+    s.invariants.push_back(poisson::residual_over_bound_check(
+        "residual_tol", "tol", [tol](const Problem&) { return tol; },
+        "storing x in float32 leaves 1.6e-7 of b: the tolerance is within reach"));
+    sets.push_back(std::move(s));
+  }
+  InputSet s = poisson::finite_hard_case("tol_1e-04", "tol = 1e-4: a solver may stop early",
+                                         [=] { return with_tolerance(system(), 1e-4); });
+  s.use_task_checks = false;
+  s.invariants.push_back(poisson::residual_over_bound_check(
+      "residual_tol", "tol", [](const Problem&) { return 1e-4; }, "what the problem asks for"));
+  s.invariants.push_back(poisson::zero_outside_check());
+  sets.push_back(std::move(s));
+  return sets;
+}
+
 std::vector<InputSet> hard_sets() {
   using poisson::finite_hard_case, poisson::zero_hard_case;
   std::vector<InputSet> sets;
@@ -260,6 +309,10 @@ std::vector<InputSet> hard_sets() {
                                   [] { return cylinder(22, 22, 20, 0.18 * 22, 18, 1e-20); }));
   sets.push_back(finite_hard_case("huge_rhs", "b of size 1e20: its squares are above the range of FP32",
                                   [] { return cylinder(22, 22, 20, 0.18 * 22, 19, 1e20); }));
+  sets.push_back(poisson::finite_hard_case("closed_faces", "one inner face in ten is closed", closed_faces));
+  sets.push_back(poisson::zero_hard_case("no_active_cell", "no cell is active: nothing to solve",
+                                         no_active_cell, "inactive cells are 0"));
+  for (InputSet& s : other_tolerances()) sets.push_back(std::move(s));
   return sets;
 }
 

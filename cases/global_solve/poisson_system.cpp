@@ -2,6 +2,7 @@
 
 #include <fmt/format.h>
 
+#include <algorithm>
 #include <cmath>
 #include <limits>
 #include <numeric>
@@ -171,6 +172,7 @@ Residual residual_of_values(const Inputs& in, const std::vector<double>& x, cons
   const double rms = b / std::sqrt(static_cast<double>(active_cells(in)));
   Residual r;
   r.relative_l2 = b == 0 ? norm : norm / b;
+  all.value = std::max(all.value, 0.0);  // of no active cell
   r.worst_over_rms = b == 0 ? all.value : all.value / rms;
   r.worst_cell = all.cell;
   r.worst_place = index_text(array, all.cell);
@@ -359,7 +361,7 @@ Check mean_check(double tolerance, const std::string& why) {
                 return s;
               });
             };
-            const double n = static_cast<double>(active_cells(in));
+            const double n = static_cast<double>(std::max<std::int64_t>(active_cells(in), 1));
             const double mean = moment(1) / n;
             const double rms = std::sqrt(moment(2) / n);
             return {rms == 0 ? std::abs(mean) : std::abs(mean) / rms,

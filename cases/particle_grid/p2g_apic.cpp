@@ -70,6 +70,18 @@ std::vector<Placement> all_placements() {
              "every particle carries the velocity and the gradient of one affine field: so must every face",
              kDx, 61));
   all.push_back(affine("affine_tenth", "the same with dx = 0.1", static_cast<double>(0.1f), 62));
+  all.push_back({.stress = "lightest_faces",
+                 .about = "of each component one face with a mass of 2^-92 of a particle or less",
+                 .cells = {11, 12, 13},
+                 .n = 3,
+                 .at =
+                     [](std::uint64_t q) {
+                       Vec3 x{8.25, 8.25, 8.25};
+                       x[q] = 0.5 + 0x1p-24;
+                       x[(q + 1) % 3] = 0x1p-20;
+                       return x;
+                     },
+                 .v = [](std::uint64_t q) { return mac_particles::random_vector(59, 4, q); }});
   for (const char* stress : {"single_entries", "affine_only"}) {
     const bool single = stress == std::string("single_entries");
     all.push_back(

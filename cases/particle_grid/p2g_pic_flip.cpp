@@ -1,6 +1,8 @@
 // Input sets and checks of p2g_pic_flip (specification: cases/particle_grid/p2g_pic_flip.md).
 #include "cases/particle_grid/p2g_pic_flip.hpp"
 
+#include <array>
+
 #include "cases/particle_grid/mac_transfer_sets.hpp"
 
 namespace gpuphys::p2g_pic_flip {
@@ -32,6 +34,25 @@ InputSet block_set(const BlockSet& s) {
     return p;
   };
   return set;
+}
+
+/// Of each component one face that owns nothing but a weight of 2^-74 or 2^-78.
+mac_particles::Vec3 next_to_nothing(std::uint64_t q) {
+  constexpr std::array<mac_particles::Vec3, 3> at{{{0x1p-30, 0.5 + 0x1p-24, 0.5 + 0x1p-24},
+                                                   {8.5 + 0x1p-20, 0x1p-30, 0.5 + 0x1p-24},
+                                                   {0.5 + 0x1p-24, 8.5 + 0x1p-20, 0x1p-30}}};
+  return at[q % 3];
+}
+
+std::vector<Placement> all_placements() {
+  std::vector<Placement> all = mac_particles::placements();
+  all.push_back({.stress = "lightest_faces",
+                 .about = "of each component one face with a mass of 2^-74 of a particle or less",
+                 .cells = {11, 12, 5},
+                 .n = 3,
+                 .at = next_to_nothing,
+                 .v = [](std::uint64_t q) { return mac_particles::random_vector(59, 4, q); }});
+  return all;
 }
 
 std::vector<Check> invariants_of(const Placement& s) {
@@ -75,7 +96,7 @@ Task make_task() {
   t.contract = contract();
   t.unordered = {{"n", {}}};
   for (const BlockSet& s : mac_particles::block_sets()) t.sets.push_back(block_set(s));
-  for (const Placement& s : mac_particles::placements()) {
+  for (const Placement& s : all_placements()) {
     t.sets.push_back(hard_case(
         s.stress, s.about, [s] { return mac_particles::placed_problem(contract(), s); }, invariants_of(s),
         s.use_task_checks));

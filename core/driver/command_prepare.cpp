@@ -2,7 +2,10 @@
 #include <fmt/format.h>
 
 #include <CLI/CLI.hpp>
+#include <filesystem>
 #include <memory>
+#include <string>
+#include <vector>
 
 #include "core/driver/context.hpp"
 #include "core/driver/inventory.hpp"
@@ -39,6 +42,31 @@ void add_prepare_command(CLI::App& app, Context& ctx) {
         const Prepared p = prepare(ctx.workplace(), *task, *set, wants_truth(*task, *set));
         fmt::print("{} {}: inputs {:.12}, truth {:.12}\n", task->name, set->name, p.inputs_digest,
                    p.truth_digest.empty() ? "none" : p.truth_digest);
+      }
+    }
+  });
+}
+
+void add_modules_command(CLI::App& app, Context& ctx) {
+  auto stale_only = std::make_shared<bool>(false);
+  auto tasks = std::make_shared<std::vector<std::string>>();
+  CLI::App* command =
+      app.add_subcommand("modules", "Say which built modules are of the present sources and flags");
+  command->add_option("--task", *tasks, "Task (repeatable; default: all)");
+  command->add_flag("--stale", *stale_only, "Only those that are missing or of other sources or flags");
+  command->footer("Examples:\n  gpuphys modules --task advect_rk2\n  gpuphys modules --stale\n");
+  command->callback([stale_only, tasks, &ctx] {
+    for (const Task* task : select_tasks(*tasks)) {
+      for (const auto& [label, expected] : expected_stamps(ctx, *task)) {
+        const std::string path = fmt::format("{}/{}/{}.so", ctx.modules_root, task->name, label);
+        const bool there = std::filesystem::exists(path);
+        const ModuleStamp stamp = there ? ctx.stamp_of(path) : ModuleStamp{};
+        const bool current = stamp.sources == expected.sources && stamp.flags == expected.flags;
+        if (current && *stale_only) continue;
+        fmt::print("{} {}: {}\n", task->name, label,
+                   current ? "current"
+                   : there ? "of other sources or flags"
+                           : "not built");
       }
     }
   });

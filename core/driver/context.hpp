@@ -58,5 +58,6 @@ void add_trivial_command(CLI::App&, Context&);
 void add_ctest_file_command(CLI::App&, Context&);
 void add_prepare_command(CLI::App&, Context&);
 void add_store_command(CLI::App&, Context&);
+void add_modules_command(CLI::App&, Context&);
 
 }  // namespace gpuphys

@@ -73,6 +73,14 @@ int run(int argc, char** argv) {
   add_ctest_file_command(app, ctx);
   add_prepare_command(app, ctx);
   add_store_command(app, ctx);
+  add_modules_command(app, ctx);
+
+  // Relative to where the command was given, whatever changes its folder later.
+  app.parse_complete_callback([&ctx] {
+    for (std::string* path :
+         {&ctx.results_root, &ctx.modules_root, &ctx.store_root, &ctx.runner, &ctx.build_root})
+      *path = std::filesystem::absolute(*path).string();
+  });
 
   try {
     app.parse(argc, argv);

@@ -6,6 +6,7 @@
 #include <array>
 #include <cmath>
 #include <cstdint>
+#include <utility>
 #include <vector>
 
 #include "core/base/parallel.hpp"
@@ -59,8 +60,10 @@ class GlobalMatrix {
       }
       first_[i + 1] = static_cast<std::int64_t>(entries_.size());
     }
+    reorder();
   }
 
+  /// A x in the order of the rows, as all of the solve is.
   Vectors<Real> times(const Vectors<Real>& x) const {
     Vectors<Real> y(x.size());
     for_rows([&](std::size_t i) {
@@ -75,7 +78,9 @@ class GlobalMatrix {
 
   /// Solves A x = b by conjugate gradients, preconditioned by the diagonal, until the residual is below
   /// `target` or below `relative` of b.
-  Vectors<Real> solve(const Vectors<Real>& b, Real target, Real relative) const {
+  Vectors<Real> solve(const Vectors<Real>& right_hand_side, Real target, Real relative) const {
+    Vectors<Real> b(right_hand_side.size());
+    for (std::size_t k = 0; k < b.size(); ++k) b[k] = right_hand_side[static_cast<std::size_t>(order_[k])];
     Vectors<Real> x(b.size(), {0, 0, 0}), r = b, z = scaled(r), p = z;
     Real rz = dot(r, z);
     const Real stop = std::max(target, relative * std::sqrt(dot(b, b)));
@@ -95,7 +100,9 @@ class GlobalMatrix {
         for (std::size_t c = 0; c < 3; ++c) p[i][c] = z[i][c] + rz / earlier * p[i][c];
       });
     }
-    return x;
+    Vectors<Real> solution(x.size());
+    for (std::size_t k = 0; k < x.size(); ++k) solution[static_cast<std::size_t>(order_[k])] = x[k];
+    return solution;
   }
 
   static Real dot(const Vectors<Real>& a, const Vectors<Real>& b) {
@@ -126,6 +133,41 @@ class GlobalMatrix {
     Real weight;
   };
 
+  // Rows in the order of a breadth-first search, so that a row's neighbours are in the cache.
+  void reorder() {
+    const std::size_t n = diagonal_.size();
+    std::vector<std::int32_t> number(n, -1);
+    for (std::size_t start = 0; start < n; ++start) {
+      if (number[start] >= 0) continue;
+      number[start] = static_cast<std::int32_t>(order_.size());
+      order_.push_back(static_cast<std::int32_t>(start));
+      for (std::size_t at = order_.size() - 1; at < order_.size(); ++at) {
+        const auto row = static_cast<std::size_t>(order_[at]);
+        for (auto e = static_cast<std::size_t>(first_[row]); e < static_cast<std::size_t>(first_[row + 1]);
+             ++e) {
+          std::int32_t& other = number[static_cast<std::size_t>(entries_[e].other)];
+          if (other >= 0) continue;
+          other = static_cast<std::int32_t>(order_.size());
+          order_.push_back(entries_[e].other);
+        }
+      }
+    }
+    std::vector<Entry> entries;
+    entries.reserve(entries_.size());
+    std::vector<std::int64_t> first{0};
+    std::vector<Real> diagonal;
+    for (const std::int32_t old : order_) {
+      const auto row = static_cast<std::size_t>(old);
+      for (auto e = static_cast<std::size_t>(first_[row]); e < static_cast<std::size_t>(first_[row + 1]); ++e)
+        entries.push_back({number[static_cast<std::size_t>(entries_[e].other)], entries_[e].weight});
+      first.push_back(static_cast<std::int64_t>(entries.size()));
+      diagonal.push_back(diagonal_[row]);
+    }
+    entries_ = std::move(entries);
+    first_ = std::move(first);
+    diagonal_ = std::move(diagonal);
+  }
+
   template <class Body>
   void for_rows(Body&& body) const {
     constexpr std::int64_t block = 4096;
@@ -148,6 +190,7 @@ class GlobalMatrix {
   std::vector<std::int64_t> first_;
   std::vector<Edge> edges_;
   std::vector<Entry> entries_;
+  std::vector<std::int32_t> order_;  // of the rows: their numbers outside
 };
 
 /// `iters` local-global iterations. The unknown is the displacement u from x; gradient(u) is the gradient of
@@ -175,7 +218,7 @@ Vectors<Real> local_global_iterations(const Inputs& in, const GlobalMatrix<Real>
     if (k == 0) first_residual = std::sqrt(GlobalMatrix<Real>::dot(residual, residual));
     // FP32 cannot go by the first residual: later ones are some hundred times smaller.
     const bool exact = sizeof(Real) == 8;
-    const Vectors<Real> step = matrix.solve(residual, exact ? Real(1e-10) * first_residual : Real(0),
+    const Vectors<Real> step = matrix.solve(residual, exact ? Real(1e-9) * first_residual : Real(0),
                                             exact ? Real(1e-12) : Real(1e-6));
     for (std::size_t i = 0; i < u.size(); ++i) {
       for (std::size_t c = 0; c < 3; ++c) u[i][c] += step[i][c];

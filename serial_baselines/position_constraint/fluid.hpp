@@ -53,25 +53,27 @@ class NeighbourLists {
       }
     }
     std::sort(entries.begin(), entries.end(), before);
+    std::vector<Vec<double>> at(x.size());  // in the order of the entries
+    for (std::size_t k = 0; k < at.size(); ++k) at[k] = x[static_cast<std::size_t>(entries[k].index)];
     const auto count = static_cast<std::int64_t>(x.size());
     lists_.resize(static_cast<std::size_t>(pieces_of(count)));
     parallel_pieces(count, [&](std::int64_t piece, std::int64_t begin, std::int64_t end) {
       std::vector<std::int32_t>& list = lists_[static_cast<std::size_t>(piece)];
-      std::vector<std::span<const Entry>> columns;
-      for (std::int64_t k = begin; k < end; ++k) {
-        const Entry& own = entries[static_cast<std::size_t>(k)];
-        if (k == begin || own.cell != entries[static_cast<std::size_t>(k - 1)].cell)
+      std::vector<Column> columns;
+      for (auto k = static_cast<std::size_t>(begin); k < static_cast<std::size_t>(end); ++k) {
+        const Entry& own = entries[k];
+        if (k == static_cast<std::size_t>(begin) || own.cell != entries[k - 1].cell)
           columns = around(entries, own.cell);
-        const auto i = static_cast<std::size_t>(own.index);
-        place_[i] = {static_cast<std::size_t>(piece), list.size(), 0};
-        for (const auto& column : columns) {
-          for (const Entry& other : column) {
-            if (other.index == own.index) continue;
-            const Vec<double> d = x[i] - x[static_cast<std::size_t>(other.index)];
-            if (dot(d, d) < reach * reach) list.push_back(other.index);
+        Place& place = place_[static_cast<std::size_t>(own.index)];
+        place = {static_cast<std::size_t>(piece), list.size(), 0};
+        for (const Column& column : columns) {
+          for (std::size_t other = column.begin; other < column.end; ++other) {
+            if (other == k) continue;
+            const Vec<double> d = at[k] - at[other];
+            if (dot(d, d) < reach * reach) list.push_back(entries[other].index);
           }
         }
-        place_[i].count = list.size() - place_[i].begin;
+        place.count = list.size() - place.begin;
       }
     });
   }
@@ -106,21 +108,25 @@ class NeighbourLists {
   struct Place {
     std::size_t piece, begin, count;
   };
+  struct Column {
+    std::size_t begin, end;
+  };
   static bool before(const Entry& a, const Entry& b) {
     return a.cell != b.cell ? a.cell < b.cell : a.index < b.index;
   }
 
   // The entries in the 27 cells around one, a range for every column of three.
-  static std::vector<std::span<const Entry>> around(const std::vector<Entry>& entries,
-                                                    const std::array<std::int32_t, 3>& cell) {
-    std::vector<std::span<const Entry>> columns;
+  static std::vector<Column> around(const std::vector<Entry>& entries,
+                                    const std::array<std::int32_t, 3>& cell) {
+    std::vector<Column> columns;
     for (std::int32_t a = -1; a <= 1; ++a) {
       for (std::int32_t b = -1; b <= 1; ++b) {
         const Entry first{{cell[0] + a, cell[1] + b, cell[2] - 1}, 0};
         const Entry behind{{cell[0] + a, cell[1] + b, cell[2] + 2}, 0};
         const auto from = std::lower_bound(entries.begin(), entries.end(), first, before);
         const auto to = std::lower_bound(from, entries.end(), behind, before);
-        columns.emplace_back(from, to);
+        columns.push_back({static_cast<std::size_t>(from - entries.begin()),
+                           static_cast<std::size_t>(to - entries.begin())});
       }
     }
     return columns;
@@ -154,7 +160,8 @@ struct FluidKernels {
     const Real r = std::sqrt(dot(d, d));
     if (!(r > 0 && r < h)) return {0, 0, 0};
     const Real weight = (1 - r / h) * (1 - r / h);
-    return {-weight * (d[0] / r), -weight * (d[1] / r), -weight * (d[2] / r)};
+    const Real factor = -weight / r;
+    return {factor * d[0], factor * d[1], factor * d[2]};
   }
 };
 
