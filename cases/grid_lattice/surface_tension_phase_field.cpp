@@ -180,7 +180,7 @@ Task make_task() {
   t.sets = {
       drop_set("public", SetKind::open, Size::paper, {544, 512, 480}, {1, 60, 16, 44}),
       drop_set("hidden", SetKind::hidden, Size::paper, {544, 512, 480}, {2, 60, 14, 38}),
-      drop_set("public_smoke", SetKind::open, Size::smoke, {94, 86, 78}, {1, 12, 8, 16}),
+      drop_set("public_smoke", SetKind::open, Size::smoke, {94, 86, 76}, {1, 12, 8, 16}),
       drop_set("hidden_smoke", SetKind::hidden, Size::smoke, {82, 90, 71}, {2, 12, 7, 14}),
   };
   for (InputSet& s : hard_sets()) t.sets.push_back(std::move(s));
