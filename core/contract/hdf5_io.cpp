@@ -71,7 +71,8 @@ class Id {
 void silence() {
   // What could not be written (a full disk) would be tried again by the library's exit handler, and crash
   // there.
-  static const bool done = H5dont_atexit() >= 0 && H5Eset_auto2(H5E_DEFAULT, nullptr, nullptr) >= 0;
+  // (Refused where the library is in use already: then that is for whoever began.)
+  static const bool done = (H5dont_atexit(), H5Eset_auto2(H5E_DEFAULT, nullptr, nullptr) >= 0);
   if (!done) throw Error(ExitCode::internal, "cannot switch off HDF5's error printing");
 }
 

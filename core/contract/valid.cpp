@@ -23,6 +23,14 @@ bool holds(double v, const Valid& valid) {
   return std::isfinite(v) && v >= valid.least && v <= valid.most && !(valid.above_least && v == valid.least);
 }
 
+// Bounds as the type holds them: 1e-6 is no float32, and the nearest one is valid.
+Valid as_held(Valid v, DType dtype) {
+  if (dtype != DType::f32) return v;
+  if (std::isfinite(v.least)) v.least = static_cast<double>(static_cast<float>(v.least));
+  if (std::isfinite(v.most)) v.most = static_cast<double>(static_cast<float>(v.most));
+  return v;
+}
+
 // The bounds with an index's extent put in.
 Valid bounds_of(const Valid& valid, const std::map<std::string, std::int64_t>& symbols) {
   if (valid.index_of.empty()) return valid;
@@ -47,7 +55,8 @@ void require_valid(const Contract& contract, const Problem& problem, const std::
   const auto symbols = resolve_symbols(contract, problem, where);
   for (const ArraySpec& spec : contract.inputs) {
     const HostArray& a = find(problem.inputs, spec.name, where);
-    const Valid valid = spec.dtype == DType::boolean ? between(0, 1) : bounds_of(spec.valid, symbols);
+    const Valid valid =
+        spec.dtype == DType::boolean ? between(0, 1) : as_held(bounds_of(spec.valid, symbols), spec.dtype);
     std::vector<std::int64_t> first(static_cast<std::size_t>(pieces_of(a.size())), -1);
     parallel_pieces(a.size(), [&](std::int64_t piece, std::int64_t begin, std::int64_t end) {
       for (std::int64_t i = begin; i < end; ++i) {
@@ -68,7 +77,7 @@ void require_valid(const Contract& contract, const Problem& problem, const std::
   }
   for (const ScalarSpec& spec : contract.scalars) {
     const double v = problem.scalar(spec.name);
-    if (!holds(v, bounds_of(spec.valid, symbols)))
+    if (!holds(v, as_held(bounds_of(spec.valid, symbols), spec.dtype)))
       throw Error(ExitCode::bad_input, fmt::format("{}: scalar '{}' is {:.9g}, must be {}", where, spec.name,
                                                    v, to_string(spec.valid)));
   }

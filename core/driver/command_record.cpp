@@ -228,6 +228,8 @@ void add_check_records_command(CLI::App& app, Context& ctx) {
                                          "than their sources");
   command->add_option("--task", o->tasks, "Task (repeatable; default: all)");
   command->add_option("--gpu", o->gpu, "Only records of this GPU, e.g. nvidia-h200");
+  command->add_flag("--skip-missing", o->skip_missing,
+                    "End with 77 for a task that no GPU has a record of yet (CTest: skipped, not passed)");
   command->add_flag("--harness", o->harness,
                     "The record of the harness's own tests (alone, or besides --task)");
   command->footer(
