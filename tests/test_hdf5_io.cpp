@@ -356,7 +356,7 @@ TEST_F(Hdf5, AFullDiskIsOneLineAndNoFile) {
   fs::create_directory(small);
   if (::mount("tmpfs", small.c_str(), "tmpfs", 0, "size=200k") != 0)
     GTEST_SKIP() << "cannot mount a small tmpfs";
-  problem = sample_problem(40);
+  problem = sample_problem(9001);
   path = small + "/x.h5";
   const std::string full = error_of([&] { write_problem(path, task, "public", problem); });
   EXPECT_CONTAINS(full, "disk full");
